@@ -28,13 +28,14 @@ if TYPE_CHECKING:
     from uplift.priors.base import Lift, Prior, ShapeLift, ShapePrior
     from uplift.skeleton import Skeleton, load_skeleton
     from uplift.training.lifting import LiftingModule
+    from uplift.training.mixture import MixtureModule
     from uplift.training.shapes import ShapeModule
     from uplift.training.student import StudentLoss, StudentModule
     from uplift.training.views import Views
     from uplift.video.detector import Detector
 
 __all__ = [
-    "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "Model",
+    "DataSet", "Detector", "Format", "KeypointData", "KnownCamera", "Lift", "LiftingModule", "MaskData", "MaskDataModule", "MaskFormat", "MixtureModule", "Model",
     "PoseData", "Prior", "ShapeLift", "ShapeModule", "ShapePrior", "Skeleton", "StudentLoss", "StudentModule", "UserError",
     "Views", "WantedFile", "compare", "detect", "evaluate", "evaluate_poses", "fit", "gait_of", "joint_angles", "load", "load_skeleton", "predict", "simulate",
     "sweep",    "to_xarray",
@@ -65,6 +66,7 @@ _HOMES = {
     "priors.base": ("Lift", "Prior", "ShapeLift", "ShapePrior"),
     "skeleton": ("Skeleton", "load_skeleton"),
     "training.lifting": ("LiftingModule",),
+    "training.mixture": ("MixtureModule",),
     "training.shapes": ("ShapeModule",),
     "training.student": ("StudentLoss", "StudentModule"),
     "training.views": ("Views",),

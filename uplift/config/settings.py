@@ -238,10 +238,17 @@ class ShapeSettings:
         (15.0, 10.0), "mean,sd: degrees that the cameras look down", low=(-90, 0), high=(90, 90)
     )
     distance: float = _setting(6.0, "distance of the camera, in half sides of a shape's box", low=2, high=1e4)
-    parts: int = _setting(4, "shapes that the kind of object is a mixture of, at first", low=1, high=64)
-    splits: list[int] = _setting([4, 4, 3], "how many shapes each becomes, in each later stage", low=2, high=64)
-    detail: int = _setting(32, "voxels along the grids of the mixture; even", low=8, high=128)
-    crop: int = _setting(40, "pixels along the crops that masks and silhouettes are compared on", low=12, high=64)
+    detail: int = _setting(32, "voxels along the grids that are learned; even", low=8, high=128)
+    code: int = _setting(64, "numbers that a shape is described by", low=1, high=4096)
+    hidden: int = _setting(512, "units of the decoder's layers", low=1, high=16384)
+    pixels: int = _setting(24, "pixels along the silhouettes that are compared with masks", low=8, high=256)
+    refine: int = _setting(
+        40, "steps in which code and view are refined as a mask is lifted; 0: as the encoder says", low=0, high=10_000
+    )
+    parts: int = _setting(1, "shapes that views are found with at first", low=1, high=64)
+    splits: list[int] = _setting([4, 4], "how many shapes each of them becomes, in each later stage", low=2, high=64)
+    coarse: int = _setting(16, "voxels along the grids that views are found with; even", low=8, high=64)
+    crop: int = _setting(20, "pixels along the crops that views are found with", low=12, high=64)
     proportions: float = _setting(
         0.15,
         "how much the width over height of a mask and its shape may differ, sd of the logarithm",
@@ -251,9 +258,11 @@ class ShapeSettings:
     temperature_start: float = _setting(
         0.1, "temperature of the likelihood at the start of the first stage: how uncertain views are", low=1e-4, high=10
     )
-    temperature_end: float = _setting(
-        0.02, "temperature from four fifths of that stage on; lifting uses three quarters of it", low=1e-4, high=10
+    temperature_again: float = _setting(
+        0.04, "temperature at the start of the later stages that find views", low=1e-4, high=10
     )
+    temperature_end: float = _setting(0.02, "temperature from four fifths of such a stage on", low=1e-4, high=10)
+    rounds: int = _setting(5, "times that views are looked for again with the space of shapes", low=0, high=100)
 
 
 @dataclass
@@ -670,9 +679,9 @@ def _of_masks(settings: Settings) -> Iterator[tuple[bool, str]]:
     shapes = shape.parts * math.prod(shape.splits)
     many = f"shape.parts and shape.splits ask for {shapes:,} shapes, expected at most {_MOST_SHAPES:,}."
     yield shapes > _MOST_SHAPES, many
-    voxels = shapes * shape.detail**3
+    voxels = shapes * shape.coarse**3
     fine = (
-        f"{shapes:,} shapes of shape.detail={shape.detail} have {voxels:,} voxels, expected at most {_MOST_VOXELS:,}."
+        f"{shapes:,} shapes of shape.coarse={shape.coarse} have {voxels:,} voxels, expected at most {_MOST_VOXELS:,}."
     )
     yield voxels > _MOST_VOXELS, fine
     size, masks = data.simulate * data.side**2, f"data.simulate={data.simulate} masks of data.side={data.side}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from uplift.config.settings import ShapeSettings
@@ -32,18 +32,25 @@ class MaskSet(Samples):
     """Masks and, of labelled ones, which true shape is seen from which view of the grid."""
 
     crops: Float[Tensor, "items side side"]
+    """The masks cut out anew."""
     spread: Float[Tensor, "items 2"]
+    masks: UInt8[Tensor, "items side side"]
+    """The masks as they are in the data, 0..255."""
     labelled: Bool[Tensor, " items"]
     view: Float[Tensor, "items 3 3"]
     """The true one; 0 where unlabelled."""
+    scale: Float[Tensor, " items"]
+    """True half sides of the crop per unit of the shape; 0 where unlabelled."""
+    offset: Float[Tensor, "items 2"]
+    """True place of the shape's origin; 0 where unlabelled."""
     shape: Int[Tensor, " items"]
     """Row of `shapes`; 0 where unlabelled."""
     shapes: Float[Tensor, "known depth height width"] = field(metadata=SHARED)
-    """True occupancy of labelled shapes, at the mixture's detail."""
+    """True occupancy of labelled shapes, on a grid of ``detail``."""
 
 
-def to_mask_set(data: MaskData, settings: ShapeSettings) -> MaskSet:
-    """Return ``data`` as a mixture trains on it; true shapes are looked at for labelled items alone."""
+def to_mask_set(data: MaskData, settings: ShapeSettings, detail: int) -> MaskSet:
+    """Return ``data`` as a lifter trains on it; true shapes are looked at for labelled items alone, at ``detail``."""
     crops, spreads = [], []
     for start in range(0, len(data), 1000):
         part = as_tensor(data.masks[start : start + 1000])
@@ -53,15 +60,20 @@ def to_mask_set(data: MaskData, settings: ShapeSettings) -> MaskSet:
     count = len(data)
     labelled = np.zeros(count, bool) if data.labelled is None or data.truth is None else data.labelled
     view, shape = torch.zeros(count, 3, 3), torch.zeros(count, dtype=torch.long)
-    shapes = torch.zeros(1, *(settings.detail,) * 3)
+    scale, offset = torch.zeros(count), torch.zeros(count, 2)
+    shapes = torch.zeros(1, *(detail,) * 3)
     if labelled.any():
         rows = np.flatnonzero(labelled)
         used, which = np.unique(data.truth.shape[rows], return_inverse=True)  # type: ignore[union-attr]
         meshes = [data.truth.meshes[number] for number in used]  # type: ignore[union-attr]
-        shapes = torch.from_numpy(np.stack([coverage(mesh, settings.detail) for mesh in meshes])).float()
+        shapes = torch.from_numpy(np.stack([coverage(mesh, detail) for mesh in meshes])).float()
         view[rows] = torch.from_numpy(np.asarray(data.truth.view[rows], np.float32))  # type: ignore[union-attr]
+        scale[rows] = torch.from_numpy(np.asarray(data.truth.scale[rows], np.float32))  # type: ignore[union-attr]
+        offset[rows] = torch.from_numpy(np.asarray(data.truth.offset[rows], np.float32))  # type: ignore[union-attr]
         shape[rows] = torch.from_numpy(which)
-    return MaskSet(torch.cat(crops), torch.cat(spreads), torch.from_numpy(labelled.copy()), view, shape, shapes)
+    known = torch.from_numpy(labelled.copy())
+    masks = torch.from_numpy(data.masks)
+    return MaskSet(torch.cat(crops), torch.cat(spreads), masks, known, view, scale, offset, shape, shapes)
 
 
 def moments(image: Float[Tensor, "items side side"]) -> tuple[Float[Tensor, "items 2"], Float[Tensor, "items 2"]]:

@@ -518,11 +518,11 @@ class MaskDataModule(_Data[MaskData, LoadedMasks]):
         only = self.settings.data.labelled.only and train.labelled is not None
         return train.select(train.labelled) if only else train
 
-    def mask_set(self, settings: ShapeSettings) -> MaskSet:
-        """Return the training masks as tensors, cropped as ``settings`` say."""
-        key = (settings.crop, settings.detail)
+    def mask_set(self, settings: ShapeSettings, detail: int) -> MaskSet:
+        """Return the training masks as tensors, cropped as ``settings`` say, and known shapes at ``detail`` voxels."""
+        key = (settings.crop, detail)
         if key not in self._sets:
-            self._sets[key] = to_mask_set(self.masks, settings)
+            self._sets[key] = to_mask_set(self.masks, settings, detail)
         return self._sets[key]
 
     def _load(self) -> LoadedMasks:

@@ -21,7 +21,7 @@ from uplift.models.networks import ResidualNetwork, build_network
 from uplift.models.signs import SignChains
 from uplift.skeleton import Skeleton
 
-__all__ = ["Lifted", "Lifter", "mixed_networks", "without_signs"]
+__all__ = ["Lifted", "Lifter", "mixed_networks", "networks_precision", "without_signs"]
 
 _LOG_UNCERTAINTY = (-5.0, 2.0)
 _USUAL_DISTANCE = 10.0
@@ -82,7 +82,7 @@ def without_signs(on: bool = True) -> Iterator[None]:
         _SIGNS.reset(before)
 
 
-def _networks_precision(device: torch.device) -> AbstractContextManager[object]:
+def networks_precision(device: torch.device) -> AbstractContextManager[object]:
     precision = _MIXED.get()
     return nullcontext() if precision is None else torch.autocast(device.type, precision)
 
@@ -149,7 +149,7 @@ class Lifter(nn.Module):
             guessed: where the distance is a guess, which a lifter for any camera corrects; None: nowhere.
         """
         features, keypoints, visible, guessed = self._seen(keypoints, confidence, distance, guessed)
-        with _networks_precision(features.device):
+        with networks_precision(features.device):
             output = self.network(features)
             signs = self._signs(features, distance) if _SIGNS.get() else None
         output = output.to(features.dtype)  # geometry is in full precision
@@ -194,7 +194,7 @@ class Lifter(nn.Module):
     ) -> Float[Tensor, "batch states"] | None:
         """Return `Lifted.signs` of the same keypoints as `forward` takes, without lifting them."""
         features = self._seen(keypoints, confidence, distance, guessed)[0]
-        with _networks_precision(features.device):
+        with networks_precision(features.device):
             return self._signs(features, distance)
 
     @property

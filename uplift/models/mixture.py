@@ -16,7 +16,9 @@ from uplift.data.mask_tensors import moments, recrop
 from uplift.geometry.rotation import random_rotations, views_about_gravity
 from uplift.models.projector import Projector
 
-__all__ = ["AZIMUTHS", "LEAST", "MOST", "Drawn", "ShapeMixture", "split", "temperature_at", "view_grid"]
+__all__ = [
+    "AZIMUTHS", "LEAST", "MOST", "Drawn", "ShapeMixture", "agree_on_front", "split", "temperature_at", "view_grid",
+]  # fmt: skip
 
 AZIMUTHS = 24
 """Of the first stage; later ones have twice as many."""
@@ -55,7 +57,7 @@ class ShapeMixture(nn.Module):
         super().__init__()
         self.settings = settings
         self.grid: _ViewGrid = view_grid(settings, azimuths)
-        n, parts = settings.detail, parts or settings.parts
+        n, parts = settings.coarse, parts or settings.parts
         first = _first_shapes(parts, n)
         self.logits = nn.Parameter(first[..., n - n // 2 :].clone() if settings.symmetric else first)
         self.register_buffer("azimuth_bias", torch.zeros(parts, self.grid.azimuths))
@@ -82,7 +84,7 @@ class ShapeMixture(nn.Module):
         """Return every shape's silhouette from the rendered views, or ``rows`` of them, at the scale of `BASE`."""
         if self.projector is None:
             s, views = self.settings, self.grid.views[self.grid.drawn]
-            self.projector = Projector(views, resolution=s.detail, side=s.crop, distance=s.distance)
+            self.projector = Projector(views, resolution=s.coarse, side=s.crop, distance=s.distance)
         if self.projector.device != self.logits.device:
             self.projector.to(self.logits.device)
         return self.projector(nn.functional.softplus(self.full_logits) * _DENSITY, rows)
@@ -150,13 +152,17 @@ class ShapeMixture(nn.Module):
         self.part_bias.add_(parts * (share * len(share)).clamp_min(0.05).log()).clamp_(-3, 3)
 
 
+_LONG = (0.25, 0.38, 0.75)
+"""Radii of the first shapes along x, y and z: a round start lets the mirror plane settle across a long body."""
+
+
 def _first_shapes(parts: int, resolution: int) -> Tensor:
-    """Return logits of random soft ellipsoids with a little noise."""
+    """Return logits of random soft ellipsoids, long from front to back, with a little noise."""
     at = (2 * torch.arange(resolution) + 1) / resolution - 1
     z, y, x = torch.meshgrid(at, at, at, indexing="ij")
     shapes = []
     for _ in range(parts):
-        radius = 0.35 + 0.35 * torch.rand(3)
+        radius = torch.tensor(_LONG) * (1 + 0.2 * torch.randn(3)).clamp(0.6, 1.4)
         far = ((x / radius[0]) ** 2 + (y / radius[1]) ** 2 + (z / radius[2]) ** 2).sqrt()
         noise = nn.functional.interpolate(torch.randn(1, 1, 5, 5, 5), (resolution,) * 3, mode="trilinear")[0, 0]
         shapes.append(((1 - far) * 3 + noise - 0.5).clamp(-3, 1.5))
@@ -249,6 +255,29 @@ _NOISE = 0.7
 """Standard deviation of the noise on logits: enough for two copies to explain different masks."""
 _COARSE = 8
 """Resolution of that noise, which is interpolated to be smooth."""
+
+
+@torch.no_grad()
+def agree_on_front(mixture: ShapeMixture) -> int:
+    """Turn shapes by half a turn about gravity where that makes them more alike, and return how many were turned.
+
+    Each shape of a mixture finds its own front, as masks do not tell it. Signs are those of the leading eigenvector of
+    how much more each pair is alike as it is than with one of them turned (spectral synchronisation, Singer 2011).
+    """
+    grids = nn.functional.avg_pool3d(mixture.occupancy[:, None], 2)[:, 0]
+    turned = grids.flip(1) if mixture.settings.symmetric else grids.flip(1, 3)
+    here, there = (
+        nn.functional.normalize(one.flatten(1) - one.flatten(1).mean(1, keepdim=True)) for one in (grids, turned)
+    )
+    alike = here @ here.T - here @ there.T
+    alike.fill_diagonal_(0)
+    leading = torch.linalg.eigh((alike + alike.T) / 2).eigenvectors[:, -1]
+    leading = leading * torch.where(leading.sum() < 0, -1.0, 1.0)
+    rows = (leading < 0).nonzero()[:, 0]
+    axes = (1,) if mixture.settings.symmetric else (1, 3)
+    mixture.logits[rows] = mixture.logits[rows].flip(axes)
+    mixture.azimuth_bias[rows] = mixture.azimuth_bias[rows].roll(mixture.grid.azimuths // 2, 1)
+    return len(rows)
 
 
 def split(mixture: ShapeMixture, times: int, azimuths: int) -> ShapeMixture:

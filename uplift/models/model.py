@@ -31,9 +31,8 @@ from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
 from uplift.models.ground import put_on_ground
 from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
-from uplift.models.lifter import Lifter
+from uplift.models.lifter import Lifter, mixed_networks
 from uplift.models.metric_scale import Size, size_of_skeleton
-from uplift.models.mixture import ShapeMixture
 from uplift.models.networks import NETWORKS
 from uplift.models.parts import PART_FRAMES, lift_piece, pieces
 from uplift.models.predict import (
@@ -46,7 +45,8 @@ from uplift.models.predict import (
     with_constant_bones,
 )
 from uplift.models.prediction import Prediction, ShapePrediction
-from uplift.models.shape_lifter import LiftedShapes, lift_masks
+from uplift.models.shape_lifter import LiftedShapes, fill_rays, lift_masks
+from uplift.models.shape_space import ShapeSpace
 from uplift.models.together import (
     Scene,
     alone,
@@ -514,8 +514,6 @@ def _float_array(values: Any) -> np.ndarray:
 # A lifter of masks.
 
 _CHUNK = 50
-_TEMPERATURE_FACTOR = 0.75
-"""Temperature of inference over that at the end of training: a single mask is explained by fixed shapes."""
 
 
 @dataclass
@@ -523,45 +521,55 @@ class ShapeModel(_Saved):
     """A lifter of masks with its settings."""
 
     lifts: ClassVar[str] = "masks"
-    formats: ClassVar[tuple[int, ...]] = (1,)
+    formats: ClassVar[tuple[int, ...]] = (2,)
 
-    lifter: ShapeMixture
+    lifter: ShapeSpace
     settings: ShapeSettings
 
-    def lift(self, masks: np.ndarray, resolution: int | None = None) -> LiftedShapes:
-        """Return shapes of masks (items side side), 0..255, cropped as `uplift.data.masks.MaskData` has them."""
-        with torch.no_grad():
-            drawn = self.lifter.crops()
+    def lift(self, masks: np.ndarray, resolution: int | None = None, refine: int | None = None) -> LiftedShapes:
+        """Return shapes of masks (items side side), 0..255, cropped as `uplift.data.masks.MaskData` has them.
+
+        Args:
+            masks: to lift.
+            resolution: voxels along a grid; ``shape.resolution`` if None.
+            refine: steps in which code and view of each mask are refined; ``shape.refine`` if None.
+        """
         resolution = resolution or self.settings.resolution
-        temperature = _TEMPERATURE_FACTOR * self.settings.temperature_end
-        parts = [as_tensor(masks[start : start + _CHUNK]) for start in range(0, len(masks), _CHUNK)]
-        lift = partial(lift_masks, self.lifter, drawn=drawn, resolution=resolution, temperature=temperature)
-        return LiftedShapes.concat([lift(part) for part in progress(parts, "lifting masks, by 50")])
+        steps = self.settings.refine if refine is None else refine
+        half = half_is_fast(self.lifter.level.device)
+        found = []
+        with fast_products("auto"), mixed_networks(torch.bfloat16 if half else None):
+            for start in progress(range(0, len(masks), _CHUNK), "lifting masks, by 50"):
+                part = as_tensor(masks[start : start + _CHUNK]).to(self.lifter.level.device)
+                found.append(lift_masks(self.lifter, part, resolution=resolution, steps=steps).to("cpu"))
+        return LiftedShapes.concat(found)
 
-    def predict(self, data: MaskData, title: str = "") -> ShapePrediction:
-        """Return a shape for every mask: expected occupancy, and the iso threshold of its surface.
+    def predict(self, data: MaskData, title: str = "", refine: int | None = None) -> ShapePrediction:
+        """Return a shape for every mask: expected occupancy, the iso threshold of its surface, and uncertainty.
 
-        Occupancy is below the threshold everywhere if nothing explains a mask. Raises UserError without masks.
+        Occupancy is raised along rays of the mask that nothing else reaches the threshold on. Raises UserError without
+        masks.
         """
         if not len(data):
             raise UserError("There is no mask to lift.")
-        found = self.lift(data.masks)
+        found, level = self.lift(data.masks, refine=refine), float(self.lifter.level)
+        filled = fill_rays(found, as_tensor(data.masks), level, symmetric=self.settings.symmetric)
         return ShapePrediction(
-            **{name: part.numpy() for name, part in vars(found).items()},
+            **{name: part.numpy() for name, part in vars(replace(found, occupancy=filled)).items()},
             masks=data.masks,
             names=list(data.names),
             centre_px=data.centre_px,
             scale_px=data.scale_px,
-            level=float(self.lifter.level),
+            level=level,
             title=title,
             images=data.images,
         )
 
     def _description(self) -> dict[str, Any]:
-        return {"lifts": self.lifts, "shape": dataclasses.asdict(self.settings)}
+        return {"lifts": self.lifts, "shape": dataclasses.asdict(self.settings), "detail": self.lifter.detail}
 
     @classmethod
     def _untrained(cls, state: dict[str, Any]) -> ShapeModel:
         settings = settings_of(ShapeSettings, "shape", state["shape"])
-        parts, azimuths = state["state"]["azimuth_bias"].shape
-        return cls(ShapeMixture(settings, parts, azimuths), settings)
+        space = ShapeSpace(settings, state["detail"])
+        return cls(space.eval().requires_grad_(False), settings)

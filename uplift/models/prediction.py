@@ -131,6 +131,8 @@ class ShapePrediction(Samples):
     """Iso threshold of the surface: occupancy above it is inside."""
     title: str = ""
     images: np.ndarray | None = None
+    uncertainty: Float[np.ndarray, "items depth height width"] | None = None
+    """The standard deviation of each voxel's occupancy over the shapes that a mask leaves open, where it is known."""
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,28 +1,22 @@
-"""`lift_masks`: a shape for each mask from a mixture of shapes, carved by the mask and its mirror image."""
+"""`lift_masks`: code and view of each mask, refined until its silhouette is the mask; and what voxels are then inside."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy
 
-from uplift.data.mask_tensors import moments, recrop
 from uplift.data.samples import Samples
-from uplift.models.mixture import Drawn, ShapeMixture
-from uplift.models.projector import BASE
+from uplift.models.shape_space import ShapeSpace
+from uplift.models.silhouettes import ObjectPose
+from uplift.models.view_hypotheses import ViewHypotheses
 
-__all__ = ["LiftedShapes", "choose_iso_threshold", "lift_masks"]
-
-# Inference: the expected occupancy over the likeliest shapes and views, carved by the mask.
-
-_HYPOTHESES = 32
-"""The likeliest shapes and views of each mask, which the expectation is over."""
-_COVERED = 0.3
-"""Share of a mask's pixel that must be covered for voxels that project to it to be kept."""
-_UNCERTAIN = 0.2
-"""Factor on a voxel outside the mirror image of the mask, as the view may be slightly off."""
+__all__ = ["LiftedShapes", "choose_iso_threshold", "fill_rays", "lift_masks", "pick_views"]
 
 
 @dataclass(frozen=True)
@@ -30,123 +24,263 @@ class LiftedShapes(Samples):
     """Occupancy in the shape frame at each mask's most likely view, and its pose in the camera frame (see `Placed`)."""
 
     occupancy: Float[Tensor, "items depth height width"]
+    """Its expectation over what the mask leaves open."""
+    uncertainty: Float[Tensor, "items depth height width"]
+    """The standard deviation of that."""
     view: Float[Tensor, "items 3 3"]
     scale: Float[Tensor, " items"]
     offset: Float[Tensor, "items 2"]
     distance: Float[Tensor, " items"]
 
 
-@dataclass(frozen=True)
-class _Hypothesis:
-    """One shape from one view for each mask, fitted to the mask's centroid and spread."""
+# Inference: from the likeliest views as the encoder sees them, down the gradient of the posterior.
 
-    shape: Tensor
-    view: Tensor
-    stretch: Tensor
-    """(items 2), half sides of the mask's crop per unit of the shape, along x and y."""
-    centre: Tensor
+_STARTS = 3
+_APART = 0.45
+"""Radians between two views that are tried."""
+_NEVER = 1e6
+_FIRST_STEPS = 12
+_TEMPERATURE = 0.0015
+_SURE = 0.005
+_SPREAD = 0.7
+"""Of the code's standard deviation as the encoder says, in samples of it."""
+_SAMPLES = 12
+_RATES = {"code": 0.06, "azimuth": 0.015, "roll": 0.015, "elevation": 0.006, "scale": 0.006, "offset": 0.006}
+
+
+class _State(NamedTuple):
+    """What is refined of masks."""
+
+    code: Float[Tensor, "items code"]
+    deviation: Float[Tensor, "items code"]
+    pose: ObjectPose
+
+    def pick(self, rows: Tensor) -> _State:
+        """Return some of the items."""
+        return _State(self.code[rows], self.deviation[rows], self.pose.pick(rows))
+
+
+def lift_masks(
+    space: ShapeSpace, masks: Float[Tensor, "items side side"], *, resolution: int, steps: int
+) -> LiftedShapes:
+    """Return the expected occupancy of each mask's shape, carved by the mask, in its pose.
+
+    Args:
+        space: the trained shapes; its parameters take no gradient.
+        masks: 0..1.
+        resolution: voxels along each axis of the result.
+        steps: of the refinement; 0: as the encoder and the view head say.
+    """
+    with torch.no_grad():
+        features = space.features(masks)
+        starts, _ = _starts(space, features)
+    count = len(masks)
+    state = _State(*(part[:count] for part in starts[:2]), starts.pose.pick(slice(count)))
+    if steps:
+        target = _target(masks, space.settings.pixels)
+        starts, cost = _refined(space, starts, target, min(steps, _FIRST_STEPS))
+        chosen = cost.view(-1, count).argmin(0) * count + torch.arange(count, device=cost.device)
+        state, _ = _refined(space, starts.pick(chosen), target, steps)
+    return _expected(space, state, masks, resolution)
+
+
+def _target(masks: Tensor, side: int) -> Tensor:
+    return nn.functional.interpolate(masks[:, None], (side, side), mode="area")[:, 0]
+
+
+def _starts(space: ShapeSpace, features: Tensor) -> tuple[_State, Float[Tensor, "items views"]]:
+    """Return the likeliest views that are apart, of all masks one after the other, and the log probability of all views."""
+    likely = space.view_logits(features).log_softmax(1)
+    views = space.view_matrices.flatten(1)
+    apart = ((views @ views.T - 1) / 2) < math.cos(_APART)
+    states, left = [], likely
+    for _ in range(_STARTS):
+        best = left.argmax(1)
+        states.append(_encoded(space, features, space.placed(features, *space.views[best].unbind(1))))
+        left = left.masked_fill(~apart[best], -1e9)
+    return _joined(states), likely
+
+
+def _encoded(space: ShapeSpace, features: Tensor, pose: ObjectPose) -> _State:
+    mean, log_variance = space.encode(features, pose)
+    return _State(mean, (log_variance / 2).exp(), pose)
+
+
+def _joined(states: list[_State]) -> _State:
+    poses = ObjectPose(*(torch.cat(part) for part in zip(*(state.pose for state in states), strict=True)))
+    return _State(torch.cat([state.code for state in states]), torch.cat([state.deviation for state in states]), poses)
+
+
+_FEW_STEPS, _PICK_STEPS = 3, 4
+"""Of all candidates, and then of the best of them."""
+_PICK_TEMPERATURE = 0.004
+
+
+def pick_views(
+    space: ShapeSpace, masks: UInt8[Tensor, "items side side"], before: ViewHypotheses | None, most: int
+) -> ViewHypotheses:
+    """Return the views of masks that the space explains best, of those ``before`` and of its own, all of them refined.
+
+    The probability of a view is that of the mask given the view, times what the view head says of it, which has seen
+    what all other masks are like.
+    """
+    masks = masks.float() / 255
+    side = min(space.settings.pixels, space.detail)
+    with torch.no_grad():
+        features = space.features(masks)
+        own, likely = _starts(space, features)
+        states = [own]
+        for number in range(0 if before is None else before.weight.shape[1]):
+            pose = ObjectPose(*(part[:, number] for part in before.poses))  # type: ignore[union-attr]
+            states.append(_encoded(space, features, pose))
+    target, count = _target(masks, side), len(masks)
+    state, cost = _refined(space, _joined(states), target, _FEW_STEPS, _PICK_TEMPERATURE)
+    kept = cost.view(-1, count).topk(most, 0, largest=False).indices * count + torch.arange(count, device=cost.device)
+    state, cost = _refined(space, state.pick(kept.flatten()), target, _PICK_STEPS, _PICK_TEMPERATURE)
+    nearest = (state.pose.view.flatten(1) @ space.view_matrices.flatten(1).T).argmax(1).view(-1, count)
+    cost = cost.view(-1, count) - likely.gather(1, nearest.T).T
+    return _best_apart(state.pose, cost, most)
+
+
+def _best_apart(pose: ObjectPose, cost: Float[Tensor, "candidates items"], most: int) -> ViewHypotheses:
+    """Return the cheapest poses of each item that are apart; their weights are relative to the first."""
+    count = cost.shape[1]
+    view = pose.view.view(-1, count, 9)
+    rows, left, chosen, costs = torch.arange(count, device=cost.device), cost, [], []
+    for _ in range(most):
+        best = left.argmin(0)
+        chosen.append(best * count + rows)
+        costs.append(left.gather(0, best[None])[0])
+        cosine = ((view * view[best, rows]).sum(-1) - 1) / 2
+        left = left.masked_fill(cosine > math.cos(_APART), _NEVER)
+    index = torch.stack(chosen, 1)
+    weight = (costs[0][:, None] - torch.stack(costs, 1)).exp()
+    return ViewHypotheses(*(part[index] for part in pose), weight)
+
+
+def _refined(
+    space: ShapeSpace, state: _State, target: Tensor, steps: int, temperature: float = _TEMPERATURE
+) -> tuple[_State, Float[Tensor, " items"]]:
+    """Return code and pose after ``steps`` of Adam on the posterior, and its negative logarithm.
+
+    There may be several states of each target, one after the other.
+    """
+    target = target.repeat(len(state.code) // len(target), 1, 1)
+    code = state.code.clone().requires_grad_()
+    pose = ObjectPose(*(part.clone().requires_grad_() for part in state.pose))
+    groups = [{"params": [code], "lr": _RATES["code"]}]
+    groups += [
+        {"params": [part], "lr": _RATES[name]} for name, part in pose._asdict().items() if name != "roll" or space.rolls
+    ]
+    optimizer = torch.optim.Adam(groups)
+    stream = torch.Generator(code.device).manual_seed(0)
+    for _ in range(steps):
+        noise = torch.randn(code.shape, generator=stream, device=code.device)
+        with torch.enable_grad():
+            at = code + noise * state.deviation * _SPREAD
+            cost = _cost(space, at, code, pose, target, temperature).sum()
+        optimizer.zero_grad()
+        cost.backward()
+        optimizer.step()
+    with torch.no_grad():
+        cost = _cost(space, code, code, pose, target, temperature)
+    return _State(code.detach(), state.deviation, pose.detached()), cost
+
+
+def _cost(
+    space: ShapeSpace, at: Tensor, code: Tensor, pose: ObjectPose, target: Tensor, temperature: float
+) -> Float[Tensor, " items"]:
+    seen = space.seen(space.logits(at), pose, target.shape[-1]).clamp(_SURE, 1 - _SURE)
+    error = binary_cross_entropy(seen, target, reduction="none").mean((1, 2))
+    return error / temperature + 0.5 * code.square().sum(1) + space.elevation_cost(pose.elevation)
 
 
 @torch.no_grad()
-def lift_masks(
-    mixture: ShapeMixture, masks: Float[Tensor, "items side side"], drawn: Drawn, *, resolution: int, temperature: float
-) -> LiftedShapes:
-    """Return the expected occupancy of each mask's shape over the likeliest shapes and views.
-
-    Voxels that do not project into the mask are empty; those of symmetric shapes whose mirror image does not
-    are nearly so.
-
-    Args:
-        mixture: the trained shapes.
-        masks: 0..1.
-        drawn: silhouettes of the shapes from all views, `ShapeMixture.crops`.
-        resolution: voxels along each axis of the result.
-        temperature: of the likelihood of a mask.
-    """
-    centre, spread = moments(masks)
-    crops = recrop(masks, centre, spread, mixture.settings.crop)
-    likely = mixture.evidence(crops, spread, drawn, temperature).flatten(1).softmax(1)
-    found = likely.topk(min(_HYPOTHESES, likely.shape[1]), 1)
-    weight = found.values / found.values.sum(1, keepdim=True)
-    guesses = [_hypothesis(mixture, drawn, index, centre, spread) for index in found.indices.T]
-    best = guesses[0]
-    scale = best.stretch.amax(1)
-    distance = mixture.settings.distance * scale
-    image, depth = _project_grid(resolution, best.view, scale, best.centre, distance)
-    total = masks.new_zeros(depth.shape[:2])
-    dilated = nn.functional.max_pool2d(masks[:, None], 3, 1, 1)
-    for number, guess in enumerate(guesses):
-        total += weight[:, number, None] * _occupancy_at(mixture, guess, image, depth, dilated)
-    total *= (_sample(masks[:, None], image) > _COVERED).to(total.dtype)
-    grid = total.view(-1, resolution, resolution, resolution)
-    return LiftedShapes(grid, best.view, scale, best.centre, distance)
+def _expected(space: ShapeSpace, state: _State, masks: Tensor, resolution: int) -> LiftedShapes:
+    """Return mean and standard deviation of occupancy over samples of the code, carved by the masks."""
+    stream = torch.Generator(masks.device).manual_seed(1)
+    total = squares = torch.zeros(())
+    for _ in range(_SAMPLES):
+        noise = torch.randn(state.code.shape, generator=stream, device=masks.device)
+        logits = space.logits(state.code + noise * state.deviation * _SPREAD)
+        if resolution != space.detail:
+            logits = nn.functional.interpolate(logits[:, None], (resolution,) * 3, mode="trilinear")[:, 0]
+        sample = torch.sigmoid(logits)
+        total, squares = total + sample / _SAMPLES, squares + sample.square() / _SAMPLES
+    pose, distance = state.pose, space.settings.distance * state.pose.scale
+    found = LiftedShapes(
+        total, (squares - total.square()).clamp_min(0).sqrt(), pose.view, pose.scale, pose.offset, distance
+    )
+    kept = _carved(found, masks, symmetric=space.settings.symmetric)
+    return LiftedShapes(**{**vars(found), "occupancy": found.occupancy * kept, "uncertainty": found.uncertainty * kept})
 
 
-def _project_grid(
-    resolution: int, view: Tensor, scale: Tensor, offset: Tensor, distance: Tensor
-) -> tuple[Float[Tensor, "items points 2"], Float[Tensor, "items points 1"]]:
-    """Return where the voxels of shapes with this pose project to, in half sides of the crop, and their depths."""
-    at = ((2 * torch.arange(resolution, device=scale.device, dtype=scale.dtype) + 1) / resolution) - 1
-    z, y, x = torch.meshgrid(at, at, at, indexing="ij")
-    inside = (torch.stack([x, y, z], -1).reshape(1, -1, 3) @ view.mT) * scale[:, None, None]
-    depth = inside[..., 2:]
-    flat = inside[..., :2] + offset[:, None]
-    return flat / (1 + depth / distance[:, None, None]).clamp_min(0.1), depth
+# Carving by the mask, and the iso threshold.
+
+_COVERED = 0.3
+"""Share of a mask's pixel that must be covered for voxels that project to it to be kept."""
+_UNCERTAIN = 0.25
+"""Factor on a voxel outside the mirror image of the mask, as the view may be slightly off."""
 
 
-def _hypothesis(mixture: ShapeMixture, drawn: Drawn, index: Tensor, centre: Tensor, spread: Tensor) -> _Hypothesis:
-    """Return the shape and view of each mask's ``index`` (items,), fitted to the mask."""
-    _, drawn_centre, drawn_spread = (part.flatten(0, 1) for part in drawn)
-    views = len(mixture.grid.views)
-    stretch = spread / drawn_spread[index] * BASE
-    place = centre - drawn_centre[index] / BASE * stretch
-    view = mixture.grid.views.to(spread)[index % views]
-    return _Hypothesis(index // views, view, stretch, place)
+def _carved(lifted: LiftedShapes, masks: Tensor, *, symmetric: bool) -> Float[Tensor, "items depth height width"]:
+    """Return factors: 0 where voxels do not project into the mask, small where their mirror images do not."""
+    image = _projected_grid(lifted)
+    kept = (_sample(masks, image) > _COVERED).to(masks)
+    if symmetric:
+        dilated = nn.functional.max_pool2d(masks[:, None], 3, 1, 1)[:, 0]
+        mirrored = _projected_grid(lifted, mirrored=True)
+        kept = kept * _sample(dilated, mirrored).clamp(_UNCERTAIN, 1)
+    return kept.view_as(lifted.occupancy)
+
+
+def _projected_grid(lifted: LiftedShapes, *, mirrored: bool = False) -> Float[Tensor, "items points 2"]:
+    """Return where voxels, or their mirror images, project to, in half sides of the crop."""
+    resolution, scale = lifted.occupancy.shape[-1], lifted.scale
+    at = (2 * torch.arange(resolution, device=scale.device, dtype=scale.dtype) + 1) / resolution - 1
+    z, y, x = torch.meshgrid(at, at, -at if mirrored else at, indexing="ij")
+    placed = (torch.stack([x, y, z], -1).reshape(1, -1, 3) @ lifted.view.mT) * scale[:, None, None]
+    flat = placed[..., :2] + lifted.offset[:, None]
+    return flat / (1 + placed[..., 2:] / lifted.distance[:, None, None]).clamp_min(0.1)
 
 
 def _sample(image: Tensor, points: Tensor) -> Tensor:
-    return nn.functional.grid_sample(image, points[:, :, None], align_corners=False)[:, 0, :, 0]
+    return nn.functional.grid_sample(image[:, None], points[:, :, None], align_corners=False)[:, 0, :, 0]
 
 
-def _occupancy_at(mixture: ShapeMixture, guess: _Hypothesis, image: Tensor, depth: Tensor, dilated: Tensor) -> Tensor:
-    """Return the occupancy (items points) of a hypothesis at points that project to ``image`` with ``depth``."""
-    far = mixture.settings.distance
-    z = depth / guess.stretch.prod(1).sqrt()[:, None, None]
-    flat = (image - guess.centre[:, None]) / guess.stretch[:, None] * (1 + z / far)
-    local = torch.cat([flat, z], -1) @ guess.view
-    grids = mixture.occupancy[guess.shape][:, None]
-    found = nn.functional.grid_sample(grids, local[:, :, None, None], align_corners=False)[:, 0, :, 0, 0]
-    if not mixture.settings.symmetric:
-        return found
-    mirrored = (local * local.new_tensor([-1.0, 1.0, 1.0])) @ guess.view.mT
-    seen = mirrored[..., :2] / (1 + mirrored[..., 2:] / far).clamp_min(0.1) * guess.stretch[:, None]
-    return found * _sample(dilated, seen + guess.centre[:, None]).clamp(_UNCERTAIN, 1)
+_THRESHOLDS = (0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.35, 0.4, 0.45, 0.5)
 
 
-# The iso threshold: as high as it can be while silhouettes still cover their masks.
-
-_THRESHOLDS = (0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.23, 0.26, 0.3, 0.35, 0.4, 0.5)
-_NEARLY = 0.97
-"""Of the best overlap with masks. A lower threshold thickens shapes where no mask constrains them."""
-
-
-def choose_iso_threshold(lifted: LiftedShapes, masks: Float[Tensor, "items side side"]) -> float:
-    """Return the occupancy above which voxels count as inside, chosen without any true shape.
-
-    It is the highest threshold at which the silhouettes overlap with the lifted ``masks`` (0..1) nearly as well
-    as at the best one.
-    """
-    flat = lifted.occupancy.flatten(1)
-    side = masks.shape[-1] // 2
-    real = nn.functional.avg_pool2d(masks[:, None], 2).flatten(1) > 0.5
-    resolution = lifted.occupancy.shape[-1]
-    image, _ = _project_grid(resolution, lifted.view, lifted.scale, lifted.offset, lifted.distance)
-    at = ((image + 1) / 2 * side).long().clamp(0, side - 1)
-    pixel = at[..., 1] * side + at[..., 0]
-    overlaps = []
+def choose_iso_threshold(occupancy: Float[Tensor, "items depth height width"]) -> float:
+    """Return the threshold with the best expected IoU if occupancies are probabilities, chosen without any true shape."""
+    flat = occupancy.flatten(1)
+    expected = []
     for threshold in _THRESHOLDS:
-        kept = (flat > threshold).to(flat.dtype)
-        seen = flat.new_zeros(len(flat), side * side).scatter_reduce(1, pixel, kept, "amax") > 0.5
-        overlaps.append(float(((seen & real).sum(1) / (seen | real).sum(1).clamp_min(1)).mean()))
-    enough = _NEARLY * max(overlaps)
-    return max(threshold for threshold, overlap in zip(_THRESHOLDS, overlaps, strict=True) if overlap >= enough)
+        inside = flat > threshold
+        shared = (flat * inside).sum(1)
+        either = inside.sum(1) + (flat * ~inside).sum(1)
+        expected.append(float((shared / either.clamp_min(1e-6)).mean()))
+    return _THRESHOLDS[max(range(len(expected)), key=expected.__getitem__)]
+
+
+_RAYS = 32
+_HIGHEST = 0.85
+_LEAST = 0.03
+
+
+def fill_rays(
+    lifted: LiftedShapes, masks: Float[Tensor, "items side side"], level: float, *, symmetric: bool
+) -> Float[Tensor, "items depth height width"]:
+    """Return occupancy raised along rays of the mask that nothing reaches ``level`` on, so that their likeliest voxels do."""
+    flat = lifted.occupancy.flatten(1)
+    image = _projected_grid(lifted)
+    at = ((image + 1) / 2 * _RAYS).long()
+    inside = ((at >= 0) & (at < _RAYS)).all(-1)
+    at = at.clamp(0, _RAYS - 1)
+    ray = at[..., 1] * _RAYS + at[..., 0]
+    covered = nn.functional.interpolate(masks[:, None], (_RAYS, _RAYS), mode="area")[:, 0].flatten(1) > 0.5
+    top = flat.new_zeros(len(flat), _RAYS**2).scatter_reduce(1, ray, flat * inside, "amax")
+    wanted = 1.02 * level / _HIGHEST
+    gain = (wanted / top.clamp_min(1e-6)).clamp(1, wanted / _LEAST).where(covered, 1.0)
+    filled = (flat * gain.gather(1, ray)).clamp(max=1).view_as(lifted.occupancy)
+    return torch.maximum(filled, filled.flip(-1)) if symmetric else filled

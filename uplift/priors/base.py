@@ -14,6 +14,7 @@ from uplift.config import ranks
 from uplift.geometry.normalise import bone_lengths, renormalise
 from uplift.geometry.rotation import level, turn
 from uplift.models.lifter import Lifted, Lifter
+from uplift.models.silhouettes import ObjectPose
 from uplift.skeleton import Skeleton
 
 if TYPE_CHECKING:
@@ -175,7 +176,11 @@ class Lift:
 
 @dataclass(frozen=True)
 class ShapeLift:
-    """A batch of masks and the shapes that explain them; the fields of `differentiable` carry gradients to the shapes."""
+    """A batch of masks and the shapes that explain them; the fields of `differentiable` carry gradients to the shapes.
+
+    While views are found (`uplift.MixtureModule`), the shapes are a few that explain all masks; after that
+    (`uplift.ShapeModule`) each mask of the batch has its own.
+    """
 
     differentiable: ClassVar[tuple[str, ...]] = ("logits", "occupancy", "reprojected")
     seen = _former("seen", "reprojected")
@@ -191,11 +196,24 @@ class ShapeLift:
     masks: Float[Tensor, "items side side"]
     """The real masks of this step, cropped the same way."""
     used: Float[Tensor, "shapes views"]
-    """Share of all masks that each shape explains from each view; sums to 1; no gradient."""
+    """Share of the masks that each shape explains from each view; sums to 1; no gradient."""
     views: Float[Tensor, "views 3 3"]
     """Rotations from the shape frame to the camera frame."""
     done: float
     """Share of the stage that is over, 0..1."""
+
+    @classmethod
+    def of(
+        cls,
+        logits: Float[Tensor, "shapes depth height width"],
+        reprojected: Float[Tensor, "reprojected side side"],
+        masks: Float[Tensor, "items side side"],
+        pose: ObjectPose,
+        done: float,
+    ) -> ShapeLift:
+        """Return what priors judge where each mask has a shape of its own, in a pose of its own."""
+        used = torch.eye(len(logits), device=logits.device) / len(logits)
+        return cls(logits, torch.sigmoid(logits), reprojected, masks, used, pose.view.detach(), done)
 
 
 class Prior(nn.Module):

@@ -17,7 +17,7 @@ from uplift.config.run import idle_prior
 from uplift.errors import UserError
 from uplift.priors.base import Lift, Prior, ShapeLift
 
-__all__ = ["Logged", "Objective", "prepare_priors"]
+__all__ = ["Logged", "Objective", "frozen", "prepare_priors"]
 
 Logged = dict[str, float | Tensor]
 
@@ -63,7 +63,7 @@ class Objective:
     def judge(self, lift: Lift | ShapeLift, step: int) -> tuple[Tensor, Logged]:
         """Return the weighted sum of the priors' losses, which trains the lifter, and each loss by name."""
         losses, weighted = Logged(), []
-        with _frozen(self.priors[name] for name in self.adversarial):
+        with frozen(self.priors[name] for name in self.adversarial):
             found = [self.loss(name, lift, step) for name in self.priors]
             for name, loss in zip(self.priors, ranks.mean(*found), strict=True):
                 if name in self.idle:
@@ -181,7 +181,7 @@ def _any_gradient(loss: Tensor, of: Iterable[Tensor]) -> bool:
 
 
 @contextmanager
-def _frozen(modules: Iterable[nn.Module]) -> Iterator[None]:
+def frozen(modules: Iterable[nn.Module]) -> Iterator[None]:
     """Compute no gradients of the modules' parameters; gradients still flow through them."""
     parameters = [p for module in modules for p in module.parameters() if p.requires_grad]
     for parameter in parameters:

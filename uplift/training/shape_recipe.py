@@ -1,10 +1,8 @@
-"""`ShapeRecipe`, the stages of a fit of masks: a mixture of shapes, refined by splitting, and its iso threshold."""
+"""`ShapeRecipe`, the stages of a fit of masks: views by a mixture of shapes, then a space of shapes, coarse and fine."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Sequence
 from itertools import accumulate
 from operator import mul
 
@@ -12,13 +10,13 @@ import numpy as np
 
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, ShapeSettings
-from uplift.data.mask_tensors import as_tensor
 from uplift.data.module import MaskDataModule
 from uplift.errors import UserError
-from uplift.models.mixture import AZIMUTHS, ShapeMixture
 from uplift.models.model import ShapeModel, load_shapes
 from uplift.models.shape_lifter import choose_iso_threshold
+from uplift.models.shape_space import ShapeSpace
 from uplift.training.base import plain_settings
+from uplift.training.mixture import MixtureModule
 from uplift.training.shapes import ShapeModule
 from uplift.training.stages import Recipe, module_class
 
@@ -27,61 +25,93 @@ __all__ = ["ShapeRecipe"]
 _MOST_FOR_THRESHOLD = 100
 """Masks that the iso threshold is chosen on."""
 _LEAST_MASKS = 20
-"""Masks per shape below which shapes are not split any more."""
-_FIRST_SHARE = 0.25
-"""Of the budget, for the first stage."""
+"""Masks per shape of the mixture below which its shapes are not split any more."""
+_OF_VIEWS = {"learning_rate": 0.05, "decay_from": 0.7, "warm_up": 0.0}
+"""Of the mixture: its grids are no networks, which ``teacher.learning_rate`` is for."""
+_VIEW_MASKS = 512
+"""Masks that priors see in a step of the mixture."""
 
 
 class ShapeRecipe(Recipe):
-    """A few shapes and the views of the masks (`shape.parts`), then stages that split every shape (`shape.splits`)."""
+    """Views are found by one shape that is split (`shape.parts`, `shape.splits`); then shapes are learned.
+
+    The space is coarse at first, and the views of all masks are looked for again with it `shape.rounds` times; the last
+    stage is at ``shape.detail``. With ``init`` a trained space finds the views, and only the last stages are trained.
+    """
 
     def __init__(self, settings: Settings, data: MaskDataModule):
         super().__init__(settings)
         self.data, shape = data, settings.shape
-        count = len(data.mask_set(shape))
-        start = _start_from(settings.init, shape) if settings.init else None
-        parts, azimuths = (shape.parts, AZIMUTHS) if start is None else start.azimuth_bias.shape
+        self.start = _start_from(settings.init, shape) if settings.init else None
+        count = len(data.masks)
+        self.splits = _worth_it(shape, count) if self.start is None else []
+        self.share_budget(self._shares(), count)
+        given = {"shape": dataclasses.asdict(shape), **plain_settings(settings.teacher)}
+        self.views = MixtureModule(parts=shape.parts, seed=settings.seed, **{**given, **_OF_VIEWS})
         build = module_class(settings.module, "module", ShapeModule)
         self.module = build(
-            shape=dataclasses.asdict(shape),
+            self.start or self.views,
             priors=settings.priors,
-            parts=parts,
-            azimuths=azimuths,
-            hot=start is None,
+            detail=shape.coarse if self.start is None else shape.detail,
+            first=self.start is None,
             seed=settings.seed,
-            **plain_settings(settings.teacher),
+            **given,
         )
-        if start is not None:
-            self.module.start_from(start)
-        self.splits = _worth_it(parts, shape.splits, count) if start is None else []
-        self.share_budget(_shares(self.splits), count)
-        counts = list(accumulate([parts, *self.splits], mul))
-        self.notes += [
-            *self.module.notes,
-            f"a mixture of {', then '.join(map(str, counts))} shapes of {shape.detail}^3 voxels"
-            + (", each its own mirror image" if shape.symmetric else ""),
+        self.notes += [*self.module.notes, *self._described(shape)]
+
+    def _shares(self) -> dict[str, float]:
+        """Return each stage's share of the budget: of steps, or of time where that is what ends the fit."""
+        timed = self.settings.trainer.max_time is not None
+        views = {f"views_{number}": _VIEWS[timed] for number in range(1, len(self.splits) + 2)}
+        first = {} if self.start else {**views, "coarse": _COARSE[timed]}
+        rounds = {f"coarse_{number}": _ROUND[timed] for number in range(2, self.settings.shape.rounds + 1)}
+        return {**first, **({} if self.start else rounds), "fine": _FINE[timed]}
+
+    def _described(self, shape: ShapeSettings) -> list[str]:
+        mirrored = ", each its own mirror image" if shape.symmetric else ""
+        counts = ", then ".join(map(str, accumulate([shape.parts, *self.splits], mul)))
+        found = f"views are found with {counts} shapes of {shape.coarse}^3 voxels"
+        return [
+            f"the views are those that {self.settings.init} finds" if self.start else found,
+            f"a space of shapes with codes of {shape.code} numbers, on grids of {shape.detail}^3 voxels{mirrored}",
         ]
 
     def train(self, run: RunFolder) -> ShapeModel:
         """Return the model after its stages."""
         settings, module = self.settings, self.module
-        self.stage(run, "shapes", module, self.data, settings.teacher.batch_size)
-        for number, times in enumerate(self.splits, 1):
-            module = module.split(times, seed=settings.seed + number)
-            self.stage(run, f"split_{number}", module, self.data, settings.teacher.batch_size)
-        mixture = module.final.cpu().eval()
-        mixture.projector = module.lifter.projector
-        model, count = ShapeModel(mixture, settings.shape), len(self.data.masks)
+        if self.start is None:
+            self._find_views(run)
+            coarse = [name for name in self.budgets if name.startswith("coarse")]
+            for number, name in enumerate(coarse):
+                if number:
+                    module = module.go_on(seed=settings.seed + number, decay_from=1.0)
+                self.stage(run, name, module, self.data, settings.teacher.batch_size)
+            last = settings.teacher.decay_from
+            module = module.go_on(settings.shape.detail, seed=settings.seed + len(coarse), decay_from=last)
+        self.stage(run, "fine", module, self.data, settings.teacher.batch_size)
+        model, count = module.model(), len(self.data.masks)
         masks = self.data.masks.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
-        lifted = model.lift(masks, resolution=settings.shape.detail)
-        mixture.level.fill_(choose_iso_threshold(lifted, as_tensor(masks)))
+        model.lifter.level.fill_(choose_iso_threshold(model.lift(masks).occupancy))
         return model
 
+    def _find_views(self, run: RunFolder) -> None:
+        """Train the mixture, which the first space then starts from."""
+        views = self.views
+        self.stage(run, "views_1", views, self.data, _VIEW_MASKS)
+        for number, times in enumerate(self.splits, 1):
+            views = views.split(times, seed=self.settings.seed + number)
+            self.stage(run, f"views_{number + 1}", views, self.data, _VIEW_MASKS)
+        self.module.starts_from(views)
 
-def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:
-    """Return the first splits, those that leave every shape enough masks."""
-    kept = []
-    for times in splits:
+
+_VIEWS, _COARSE, _ROUND, _FINE = (3.0, 0.5), (3.0, 1.0), (1.5, 2.0), (4.0, 5.0)
+"""Shares of stages, of steps and of time: a step at a fine grid takes twenty times as long as one of the mixture."""
+
+
+def _worth_it(shape: ShapeSettings, masks: int) -> list[int]:
+    """Return the first splits, those that leave every shape of the mixture enough masks."""
+    parts, kept = shape.parts, []
+    for times in shape.splits:
         parts *= times
         if masks < _LEAST_MASKS * parts:
             break
@@ -89,24 +119,11 @@ def _worth_it(parts: int, splits: Sequence[int], masks: int) -> list[int]:
     return kept
 
 
-def _shares(splits: Sequence[int]) -> dict[str, float]:
-    """Return each stage's share of the budget: a quarter for the views, and more for many shapes than for few."""
-    rest = [math.sqrt(count) for count in accumulate(splits, mul)]
-    later = {f"split_{number}": (1 - _FIRST_SHARE) * each / sum(rest) for number, each in enumerate(rest, 1)}
-    return {"shapes": _FIRST_SHARE if rest else 1.0, **later}
-
-
-def _start_from(init: str, shape: ShapeSettings) -> ShapeMixture:
-    """Return another run's mixture, for the settings of this run."""
+def _start_from(init: str, shape: ShapeSettings) -> ShapeSpace:
+    """Return another run's space, for the settings of this run; raises UserError where it has another form."""
     other = load_shapes(init)
-    parts, azimuths = other.lifter.azimuth_bias.shape
-    mixture = ShapeMixture(shape, parts, azimuths)
-    for name in ("logits", "azimuth_bias"):
-        theirs, ours = (tuple(getattr(lifter, name).shape) for lifter in (other.lifter, mixture))
+    for name in ("symmetric", "gravity", "code", "hidden", "detail"):
+        theirs, ours = getattr(other.settings, name), getattr(shape, name)
         if theirs != ours:
-            raise UserError(
-                f"init={init} has {name} {theirs}, this run {ours}: shape.detail, shape.symmetric and "
-                "shape.gravity must be those of that run."
-            )
-    mixture.load_state_dict(other.lifter.state_dict())
-    return mixture
+            raise UserError(f"init={init} has shape.{name}={theirs}, this run {ours}: they must be the same.")
+    return other.lifter

@@ -1,32 +1,37 @@
-"""Train a mixture of shapes from masks alone by expectation and maximisation, with priors on shapes and silhouettes."""
+"""Train a space of shapes from masks alone: codes, a decoder, and the pose of every mask, with priors on what is learned."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy, interpolate
 
 from uplift.config import ranks
+from uplift.config.device import half_is_fast
 from uplift.config.files import refuse_existing
 from uplift.config.settings import TeacherSettings
 from uplift.config.trust import consents
 from uplift.data.mask_tensors import MaskSet
-from uplift.data.masks import MaskData
+from uplift.data.masks import FILL, MaskData
 from uplift.data.module import MaskDataModule
 from uplift.errors import UserError
 from uplift.metrics.evaluate_shapes import evaluate_shapes, silhouettes_seen
-from uplift.models.mixture import AZIMUTHS, LEAST, MOST, Drawn, ShapeMixture, split, temperature_at
+from uplift.models.lifter import mixed_networks
 from uplift.models.model import ShapeModel
 from uplift.models.prediction import ShapePrediction
-from uplift.models.shape_lifter import LiftedShapes
+from uplift.models.shape_lifter import LiftedShapes, pick_views
+from uplift.models.shape_space import MASK_SIDE, ShapeSpace
+from uplift.models.silhouettes import ObjectPose
+from uplift.models.view_hypotheses import ViewHypotheses, likely_views
 from uplift.priors import build_priors
 from uplift.priors.base import Prior, ShapeLift
 from uplift.training.base import (
@@ -38,156 +43,115 @@ from uplift.training.base import (
     seeded,
     stage_settings,
 )
-from uplift.training.objective import Logged, Objective, prepare_priors
+from uplift.training.mixture import MixtureModule
+from uplift.training.objective import Logged, Objective, frozen, prepare_priors
 
-__all__ = ["EStepStatistics", "ShapeModule"]
+__all__ = ["MaskPoses", "ShapeModule"]
 
-# The expectation step: which masks each shape explains from each view, as the sums that the gradient needs.
+# What is unknown of every training mask: where its shape stands, by hypothesis.
 
-_CHUNK = 500
-_POOLED = 0.9
-"""How much smaller errors of pooled crops are; with this factor they give nearly the same shares as full crops."""
-_FAINT = 0.01
-"""Shares of a mask below this fraction of its largest are left out of the sums."""
+_HYPOTHESES = 3
+_FAINT_WEIGHT = 1e-4
+_TRUST = 0.7
+"""Power of the probabilities of hypotheses: what finds views is too sure of them."""
 
 
-class EStepStatistics(nn.Module):
-    """Sufficient statistics of the expectation step, as buffers, so that a fit resumes where it was.
-
-    The log likelihood of a mask under a shape and view is linear in the mask, so the gradient needs only the
-    mean of the masks that a silhouette explains and their share. The expectation over all masks is therefore
-    computed once in many steps, and a step costs the rendering of a few views.
-    """
+class MaskPoses(nn.Module):
+    """The poses of training masks, several hypotheses for each, and how likely each of them is."""
 
     weight: Tensor
-    """(shapes drawn), share of all masks; sums to 1."""
-    mask: Tensor
-    """(shapes drawn side side), their mean; masks of mirrored views are mirrored."""
-    ratio: Tensor
-    """(shapes drawn), the mean logarithm of their width over height."""
-    energy: Tensor
-    """(), minus the mean log likelihood of a mask, times the temperature."""
-    labelled: Tensor
-    """(shapes,), share of all masks that are labelled and explained by each shape."""
-    truth: Tensor
-    """(shapes depth height width), the mean of their true shapes."""
+    """(items, hypotheses); sums to 1."""
+    known: Tensor
+    """(items,), whether the pose is the true one, of labelled masks."""
 
-    def __init__(self, mixture: ShapeMixture, labels: bool, pooled: int = 1):
-        """Make zeros; with ``labels`` also for true shapes; ``pooled`` pixels along an axis are compared as one."""
+    def __init__(self, count: int):
+        """Make places for the poses of ``count`` masks."""
         super().__init__()
-        self.labels, self.pooled = labels, pooled
-        parts, drawn = len(mixture.logits), len(mixture.grid.drawn)
-        side, n = mixture.settings.crop, mixture.settings.detail if labels else 1
-        sizes = {
-            "weight": (parts, drawn), "mask": (parts, drawn, side, side), "ratio": (parts, drawn), "energy": (),
-            "labelled": (parts,), "truth": (parts, n, n, n),
-        }  # fmt: skip
-        for name, size in sizes.items():
-            self.register_buffer(name, torch.zeros(size))
+        for name in ObjectPose._fields:
+            size = (count, _HYPOTHESES, 2) if name == "offset" else (count, _HYPOTHESES)
+            self.register_parameter(name, nn.Parameter(torch.zeros(size)))
+        self.register_buffer("weight", torch.full((count, _HYPOTHESES), 1 / _HYPOTHESES))
+        self.register_buffer("known", torch.zeros(count, dtype=torch.bool))
 
     @torch.no_grad()
-    def update(self, mixture: ShapeMixture, data: MaskSet, temperature: float) -> None:
-        """Compute all sums over all masks with the current shapes."""
-        drawn = mixture.crops()
-        if self.pooled > 1:
-            drawn = drawn._replace(cut=nn.functional.avg_pool2d(drawn.cut, self.pooled))
-            temperature *= _POOLED
-        for part in self.buffers():
-            part.zero_()
-        with ranks.work_shared():
-            for start in ranks.my_parts(range(0, len(data), _CHUNK)):
-                self._add(mixture, data.select(slice(start, start + _CHUNK)), drawn, temperature)
-            ranks.sum_of_parts(*self.buffers())
-        self.mask /= self.weight.clamp_min(1e-9)[..., None, None]
-        self.ratio /= self.weight.clamp_min(1e-9)
-        self.truth /= self.labelled.clamp_min(1e-9)[:, None, None, None]
-        for part in (self.weight, self.labelled, self.energy):
-            part /= len(data)
+    def set(self, views: ViewHypotheses, data: MaskSet) -> None:
+        """Take hypotheses, and of labelled masks the truth."""
+        for name, value in views.poses._asdict().items():
+            getattr(self, name).copy_(value)
+        weight = views.weight.clamp_min(_FAINT_WEIGHT) ** _TRUST
+        self.weight.copy_(weight / weight.sum(1, keepdim=True))
+        self.known.copy_(data.labelled)
+        truth = ObjectPose.of(data.view[data.labelled], data.scale[data.labelled], data.offset[data.labelled])
+        for name, value in truth._asdict().items():
+            getattr(self, name)[data.labelled] = value.unsqueeze(1)
 
-    def _add(self, mixture: ShapeMixture, data: MaskSet, drawn: Drawn, temperature: float) -> None:
-        masks, spread, known = data.crops, data.spread, data.labelled
-        small = nn.functional.avg_pool2d(masks, self.pooled) if self.pooled > 1 else masks
-        evidence = mixture.evidence(small, spread, drawn, temperature)
-        if bool(known.any()):
-            nearest = (data.view.flatten(1) @ mixture.grid.views.to(masks).flatten(1).T).argmax(1)
-            elsewhere = torch.arange(evidence.shape[2], device=masks.device)[None] != nearest[:, None]
-            evidence = evidence.masked_fill((known[:, None] & elsewhere)[:, None], -1e4)
-        self.energy -= temperature * torch.logsumexp(evidence.flatten(1), 1).sum()
-        share = evidence.flatten(1).softmax(1)
-        share = share.where(share > _FAINT * share.amax(1, keepdim=True), 0).view_as(evidence)
-        share = share / share.sum((1, 2), keepdim=True).clamp_min(1e-9)
-        grid, ratio = mixture.grid, (spread[:, 0] / spread[:, 1]).log()
-        for views, seen in ((grid.drawn, masks), (grid.mirrored, masks.flip(-1))):
-            if views is None:
-                continue
-            flat = share[:, :, views.to(share.device)].flatten(1).T
-            self.weight += flat.sum(1).view_as(self.weight)
-            self.mask += (flat.to_sparse_csr() @ seen.flatten(1)).view_as(self.mask)
-            self.ratio += (flat @ ratio).view_as(self.ratio)
-        if self.labels and bool(known.any()):
-            labelled = share[known].sum(2)
-            self.labelled += labelled.sum(0)
-            self.truth += (labelled.T @ data.shapes[data.shape[known]].flatten(1)).view_as(self.truth)
+    def drawn(self, rows: Int[Tensor, " batch"]) -> ObjectPose:
+        """Return one hypothesis of each mask of ``rows``, drawn by its weight; known poses take no gradient."""
+        picked = torch.multinomial(self.weight[rows], 1)[:, 0]
+        pose = ObjectPose(*(getattr(self, name)[rows, picked] for name in ObjectPose._fields))
+        return ObjectPose.where(self.known[rows], pose.detached(), pose)
 
-    def loss(self, mixture: ShapeMixture, drawn: Drawn, rows: Sequence[int], temperature: float) -> Float[Tensor, ""]:
-        """Return the error of the silhouettes ``drawn`` from ``rows`` of the views, an estimate of the error of all."""
-        pixels, target = drawn.cut.clamp(LEAST, MOST), self.mask[:, rows]
-        error = -(target * pixels.log() + (1 - target) * (1 - pixels).log()).mean((-2, -1))
-        ratio = (drawn.spread[..., 0] / drawn.spread[..., 1]).log()
-        proportions = 0.5 * ((self.ratio[:, rows] - ratio) / mixture.settings.proportions) ** 2
-        each = (error + temperature * proportions) * self.weight[:, rows]
-        return each.sum() * self.weight.shape[1] / len(rows)
+    def hypotheses(self) -> ViewHypotheses:
+        """Return all of them as they are now."""
+        return ViewHypotheses(*(getattr(self, name).detach() for name in ObjectPose._fields), self.weight)
 
-    def label_loss(self, logits: Float[Tensor, "shapes depth height width"]) -> Float[Tensor, ""]:
-        """Return the cross-entropy of the true shapes of labelled masks under the shapes that explain them."""
-        each = -(self.truth * nn.functional.logsigmoid(logits) + (1 - self.truth) * nn.functional.logsigmoid(-logits))
-        return (each.mean((1, 2, 3)) * self.labelled).sum()
+    @property
+    def best(self) -> ObjectPose:
+        """The likeliest of each mask."""
+        picked = self.weight.argmax(1)
+        rows = torch.arange(len(picked), device=picked.device)
+        return ObjectPose(*(getattr(self, name)[rows, picked].detach() for name in ObjectPose._fields))
 
 
-# The maximisation step: shapes learn to explain their masks, and priors judge them.
+# Training.
 
-_SEEN = 64
-"""Silhouettes that priors judge in a step."""
-_VIEWS = 12
-"""Views that a step renders."""
-_OFTEN, _SELDOM = 5, 25
-"""Steps between expectations: with annealing, where shapes change fast, and without."""
-_BALANCE_HOT = (0.3, 0.09)
-_BALANCE_COLD = (0.0, 0.2)
-"""Rates at which azimuths and shapes are balanced at each expectation; the few masks of a late shape need not show
-all azimuths."""
-_MOST_VALIDATED = 20
-_TRUTH_WEIGHT = 3.0
-_SIZE_WEIGHT = 1.0
+_TEMPERATURE = 0.0012
+"""Of the likelihood: mean cross-entropy of a pixel per nat of the code."""
+_SURE = 0.005
+"""Bound of the opacity of a pixel, so that no mask is impossible."""
+_PLACE_WEIGHT, _CYCLE_WEIGHT, _KNOWN_WEIGHT = 10.0, 0.3, 1.0
+_KNOWN_TEMPERATURE = 0.0015
+"""Mean cross-entropy of a voxel of a known shape per nat of the code."""
+_KNOWN_SHARE = 4
+"""A step has one labelled mask, and as many new views of known shapes, for so many others."""
+_POSE_RATES = {"azimuth": 0.008, "roll": 0.008, "elevation": 0.0032, "scale": 0.0032, "offset": 0.0032}
+_POSES_FROM = 0.3
+"""Share of the first stage after which poses are learned too: by then there are shapes."""
+_CYCLE_FROM = 0.4
 _PRIOR_LEARNING_RATE = 1e-3
-"""Of the priors' own parameters, as the shapes' rate is too high for networks."""
+_PICK_CHUNK = 100
+_MOST_PICKED = 8000
+"""Masks whose views are looked for again between two stages."""
+_MOST_VALIDATED = 20
+_BIN = 0.6
+"""Width of the target of the view head, in steps of its views."""
 
 
-class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
-    """Learn a mixture of shapes from masks by expectation and maximisation, with weighted priors; one backward pass per step.
+class ShapeModule(TrainingModule[ShapeSpace, MaskSet]):
+    """Learn a `ShapeSpace` from masks and the views they may be from; one backward pass per step.
 
-    Once in ``every`` steps the expectation step runs over all masks (`EStepStatistics`); in between, the
-    shapes learn to explain those masks better, each step from a few views. With ``hot`` the temperature of
-    the likelihood falls from ``shape.temperature_start`` to ``shape.temperature_end`` (deterministic annealing):
-    views stay uncertain while the shapes are. Otherwise it is ``shape.temperature_end``, and azimuths keep their
-    balance.
+    A step draws masks, each with one of its hypotheses of a pose; encodes, decodes and renders them; and compares with
+    the masks (a variational autoencoder). Poses are parameters too. A cycle makes a code what can be seen from any side:
+    the silhouette from the pose of another mask must be encoded as the same code. Priors judge the shapes and those
+    silhouettes. `go_on` continues at a finer grid, after the views of all masks were looked for again.
 
     Example::
 
-        data = uplift.MaskDataModule(2000, family="chairs", val=0.01)
-        module = uplift.ShapeModule()
-        lightning.Trainer(max_steps=500).fit(module, data)
-        finer = module.split(4)
+        data = uplift.MaskDataModule(2000, family="chairs")
+        views = uplift.MixtureModule()
+        lightning.Trainer(max_steps=300).fit(views, data)
+        coarse = uplift.ShapeModule(start=views, detail=16)
+        lightning.Trainer(max_steps=300).fit(coarse, data)
+        fine = coarse.go_on(detail=32)
 
     Hooks for subclasses: `configure_lifter`, `configure_priors`, `objective`, and those of Lightning.
 
     Args:
+        start: a trained `MixtureModule`, which says where masks are seen from, or a trained space, which finds them.
         shape: settings ``shape.NAME`` by name.
         priors: for each prior its weight, its settings, its class or a `uplift.ShapePrior`; none by default.
-        parts: how many shapes; ``shape.parts`` if None.
-        azimuths: how many azimuths there are views from.
-        hot: whether the temperature falls.
-        seed: of the shapes and of all random numbers.
+        detail: voxels along the grids; ``shape.detail`` if None.
+        seed: of the networks and of all random numbers.
         training: settings ``teacher.NAME`` by name: ``learning_rate``, ``decay_from``, ...
 
     Raises:
@@ -195,50 +159,58 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
     """
 
     settings: TeacherSettings
+    poses: MaskPoses
     _priors_are_prepared: bool = False
 
     @consents
     def __init__(
         self,
+        start: MixtureModule | ShapeSpace | None = None,
         *,
         shape: Mapping[str, Any] | None = None,
         priors: Mapping[str, Any] | None = None,
-        parts: int | None = None,
-        azimuths: int = AZIMUTHS,
-        hot: bool = True,
+        detail: int | None = None,
+        first: bool = True,
         seed: int = 0,
         **training: Any,
     ):
         super().__init__()
-        if min(parts or 1, azimuths) < 1 or parts == 0:
-            raise UserError(f"parts={parts}, azimuths={azimuths}: expected whole numbers of at least 1.")
         specs, self._given_priors = prior_specs(priors)
         chosen = stage_settings("teacher", training, "masks", shape=shape, priors=specs, seed=seed)
         self.shape_settings, self.prior_specs = chosen.shape, chosen.priors
-        self.parts, self.azimuths, self.hot = parts or chosen.shape.parts, azimuths, hot
+        self._start = (start,)  # in a tuple: its weights are not part of this module
+        self.grid, self.first = detail or chosen.shape.detail, first
         self.save_hyperparameters(
             {
-                "shape": dataclasses.asdict(chosen.shape), "priors": saved_priors(chosen.priors, self._given_priors), "parts": self.parts,
-                "azimuths": azimuths, "hot": hot, "seed": seed, **plain_settings(chosen.teacher),
+                "shape": dataclasses.asdict(chosen.shape), "priors": saved_priors(chosen.priors, self._given_priors),
+                "detail": self.grid, "first": first, "seed": seed, **plain_settings(chosen.teacher),
             }
         )  # fmt: skip
         with seeded(seed):
             terms = Objective(*self.configure_priors())
         with seeded(seed):
-            mixture = self.configure_lifter()
+            space = self.configure_lifter()
             self._stream = torch.get_rng_state()
-        self.every = _OFTEN if hot else _SELDOM
         self.prior_rate = chosen.teacher.prior_learning_rate or _PRIOR_LEARNING_RATE
-        self.set_up(mixture, chosen.teacher, seed, terms)
-        self.statistics = EStepStatistics(mixture, False, self._pooled)
+        self.poses = MaskPoses(0)
+        self.set_up(space, chosen.teacher, seed, terms)
+
+    def starts_from(self, start: MixtureModule | ShapeSpace) -> None:
+        """Set what the training starts from, such as a mixture that was split since."""
+        self._start = (start,)
 
     @property
-    def _pooled(self) -> int:
-        return 1 if self.hot or self.shape_settings.crop % 2 else 2
+    def start(self) -> MixtureModule | ShapeSpace | None:
+        """What the training starts from."""
+        return self._start[0]
 
-    def configure_lifter(self) -> ShapeMixture:
-        """Return the untrained mixture of shapes."""
-        return ShapeMixture(self.shape_settings, self.parts, self.azimuths)
+    def configure_lifter(self) -> ShapeSpace:
+        """Return the untrained space, or the one to start from at the resolution of this stage."""
+        if isinstance(self.start, ShapeSpace):
+            space = copy.deepcopy(self.start).train().requires_grad_()
+            space.refine_grid(self.grid)
+            return space
+        return ShapeSpace(self.shape_settings, self.grid)
 
     def configure_priors(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors by name, and their weights."""
@@ -247,57 +219,89 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
         return priors, weights
 
     def prepare(self, data: MaskDataModule | Any) -> None:
-        """Take the training masks, show them to the priors, and look at their labels."""
+        """Take the training masks, make places for their poses, and show them to the priors."""
         if not isinstance(data, MaskDataModule):
             raise UserError(f"ShapeModule trains on a uplift.MaskDataModule, found {type(data).__name__}.")
-        self.prepared_with, self.frames = weakref.ref(data), data.mask_set(self.shape_settings)
+        self.prepared_with, self.frames = (
+            weakref.ref(data),
+            data.mask_set(self.shape_settings, self.shape_settings.detail),
+        )
+        if len(self.poses.weight) != len(self.frames):
+            self.poses = MaskPoses(len(self.frames))
+        self.poses.roll.requires_grad_(self.lifter.rolls)
         if not self._priors_are_prepared:
             with seeded(0):
                 torch.set_rng_state(self._stream)
                 prepare_priors(self.terms.priors, self.frames)
         self._priors_are_prepared = False  # other data, if any, are shown to them
-        self.statistics = EStepStatistics(self.lifter, bool(self.frames.labelled.any()), self._pooled)
-        self.lifter.silhouettes([0])  # makes the projector's matrices, which take a while
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Make room for the true shapes of labelled masks, where the checkpoint has them."""
+        """Make room for the poses of the checkpoint's masks."""
         super().on_load_checkpoint(checkpoint)
-        labels = checkpoint["state_dict"]["statistics.truth"].shape[-1] > 1
-        self.statistics = EStepStatistics(self.lifter, labels, self._pooled).to(self.device)
+        self.poses = MaskPoses(len(checkpoint["state_dict"]["poses.weight"])).to(self.device)
+        self.poses.roll.requires_grad_(self.lifter.rolls)
 
-    def split(self, times: int, azimuths: int = 2 * AZIMUTHS, seed: int = 0) -> ShapeModule:
-        """Return a module that goes on from this one with ``times`` as many shapes, and views from ``azimuths``.
+    def on_train_start(self) -> None:
+        """Find the views of all masks, unless the stage is resumed."""
+        super().on_train_start()
+        if self.global_step == 0:
+            self.find_views()
 
-        ``seed`` is that of the noise that tells copies of a shape apart. The priors are the same objects.
+    def find_views(self) -> None:
+        """Set the hypotheses of every mask's pose, from the mixture or as the space itself sees them."""
+        assert self.frames is not None
+        if isinstance(self.start, MixtureModule):
+            found = likely_views(self.start.final, self.frames.masks, most=_HYPOTHESES)
+        elif isinstance(self.start, ShapeSpace):
+            found = self._picked()
+        else:
+            raise UserError(
+                "ShapeModule starts from a trained uplift.MixtureModule, which finds the views of masks, or from a trained "
+                "space: ShapeModule(start=...)."
+            )
+        if bool(self.frames.labelled.any()):
+            found = found.scaled_to(self.frames)
+        self.poses.set(found, self.frames)
+
+    @torch.no_grad()
+    def _picked(self) -> ViewHypotheses:
+        """Return hypotheses of all masks, those that were and those of the view head, refined and judged by the space.
+
+        Of very many masks those are judged that were least sure.
         """
-        with seeded(seed):
-            made = split(self._copied(), times, azimuths)
-        parts, azimuths = made.azimuth_bias.shape
-        changed = {"priors": {}, "parts": parts, "azimuths": azimuths, "hot": False}
-        module = type(self)(**{**self.hparams, **changed})
+        assert self.frames is not None
+        before = self.poses.hypotheses() if bool(self.poses.scale.any()) else None
+        count = len(self.frames)
+        order = torch.arange(count) if before is None else before.weight.amax(1).argsort(stable=True)
+        rows = order[: count if before is None else _MOST_PICKED].sort().values
+        chunks, space = rows.split(_PICK_CHUNK), self.start
+        assert isinstance(space, ShapeSpace)  # as it was: a coarser grid is much faster
+        half = torch.bfloat16 if "mixed" in str(self.trainer.precision) and half_is_fast(self.device) else None
+        found = ViewHypotheses.empty(count, _HYPOTHESES, self.device) if before is None else before
+        values = {name: value.clone() for name, value in vars(found).items()}
+        with frozen([space]), self.inference(), mixed_networks(half), ranks.work_shared():
+            for part in ranks.my_parts(chunks):
+                own = None if before is None else before.select(part)
+                for name, value in vars(pick_views(space, self.frames.masks[part], own, _HYPOTHESES)).items():
+                    values[name][part] = value
+            return ViewHypotheses(**{name: ranks.filled(value, chunks) for name, value in values.items()})
+
+    def go_on(self, detail: int | None = None, seed: int = 0, **training: Any) -> ShapeModule:
+        """Return a module that goes on from this one, at grids of ``detail`` voxels; priors are the same objects.
+
+        ``training`` are settings ``teacher.NAME`` that change.
+        """
+        changed = {"priors": {}, "detail": detail or self.grid, "first": False, "seed": seed, **training}
+        module = type(self)(self.final, **{**self.hparams, **changed})
         module.hparams["priors"] = self.hparams["priors"]
-        module.start_from(made)
+        module.poses = copy.deepcopy(self.poses)
         module.terms, module.priors, module.prior_specs = self.terms, self.priors, self.prior_specs
         module._given_priors, module._priors_are_prepared = self._given_priors, self.prepared_with is not None
         return module
 
-    def _copied(self) -> ShapeMixture:
-        """Return a copy of the trained mixture on the CPU; the projector, which is large, is shared."""
-        final, projector = self.final, self.lifter.projector
-        final.projector = self.lifter.projector = None
-        copied = copy.deepcopy(final).cpu().eval()
-        final.projector = self.lifter.projector = copied.projector = projector
-        return copied
-
-    def start_from(self, mixture: ShapeMixture) -> None:
-        """Copy the shapes of another mixture of the same sizes."""
-        for one in {self.lifter, self.final}:
-            one.load_state_dict(mixture.state_dict())
-        self.lifter.projector = mixture.projector
-
     def model(self) -> ShapeModel:
-        """Return a copy of the trained mixture as people use it: `predict`, `save`."""
-        return ShapeModel(self._copied(), self.shape_settings)
+        """Return a copy of the trained space as people use it: `predict`, `save`."""
+        return ShapeModel(copy.deepcopy(self.final).cpu().eval().requires_grad_(False), self.shape_settings)
 
     def save(self, path: str | Path) -> None:
         """Write `model` to one file, which `uplift.load` and the command line take; raises UserError where it exists."""
@@ -325,61 +329,139 @@ class ShapeModule(TrainingModule[ShapeMixture, MaskSet]):
             return {"silhouette_iou_seen": float(np.mean(silhouettes_seen(prediction, batch.masks)))}
         return evaluate_shapes(prediction, batch.truth, batch.masks, batch.source, batch.category).overall
 
+    # A step.
+
+    def parameter_groups(self) -> list[dict[str, Any]]:
+        """Return the optimiser's groups: the networks', one for each kind of pose parameter, and the priors'."""
+        # Without momentum a mask that is not in a step does not move.
+        poses = [
+            {"params": [getattr(self.poses, name)], "lr": rate, "betas": (0.0, 0.99), "name": f"pose_{name}"}
+            for name, rate in _POSE_RATES.items()
+            if getattr(self.poses, name).requires_grad
+        ]
+        return [*super().parameter_groups(), *poses]
+
     @property
     def mirrors(self) -> bool:
-        """Whether priors see half of the masks mirrored: only where shapes are their own mirror image."""
+        """Whether half of the masks are mirrored: only where shapes are their own mirror image."""
         return self.settings.mirror and self.shape_settings.symmetric
 
     @property
-    def temperature(self) -> float:
-        """Of the likelihood, at this step."""
-        start, end = self.lifter.settings.temperature_start, self.lifter.settings.temperature_end
-        return temperature_at(self.done, start, end) if self.hot else end
+    def pixels(self) -> int:
+        """Pixels along the silhouettes that are compared: no finer than the grid at first."""
+        return min(self.shape_settings.pixels, self.grid if self.grid < self.shape_settings.detail else 10**9)
 
     def objective(self, batch: int) -> tuple[Tensor, Logged]:
-        """Return the loss from a few random views and its terms; priors are given ``batch`` masks."""
-        mixture, statistics = self.lifter, self.statistics
+        """Return the loss of ``batch`` masks drawn at random, and its terms."""
         assert self.frames is not None
-        if self.stream_step % self.every == 0:
-            statistics.update(mixture, self.frames, self.temperature)
-            mixture.balance(self.used, *(_BALANCE_HOT if self.hot else _BALANCE_COLD))
-        count = len(mixture.grid.drawn)
-        rows = torch.randperm(count)[:_VIEWS].tolist()
-        drawn = mixture.cut_out(rows)
-        silhouettes = statistics.loss(mixture, drawn, rows, self.temperature)
-        loss = silhouettes + _SIZE_WEIGHT * mixture.size_loss(drawn)
-        logged: Logged = {"energy": statistics.energy, "silhouettes": silhouettes.detach()}
-        if statistics.labels:
-            truth = statistics.label_loss(mixture.full_logits)
-            loss, logged["truth"] = loss + _TRUTH_WEIGHT * truth, truth.detach()
-        if self.terms.priors:
-            lift = self.last_lift = self._lift(drawn, batch)
-            judged, losses = self.terms.judge(lift, self.global_step)
-            own, critic_losses = self.terms.train_adversaries(lift.masks[:_SEEN], lift.reprojected.detach())
-            loss, logged = loss + judged + own, {**logged, **losses, **critic_losses}
+        space, settled = self.lifter, not self.first or self.done > _POSES_FROM
+        rows = torch.randint(len(self.frames), (batch,), device=self.device)
+        masks, pose = self._maybe_mirrored(self.frames.masks[rows].float() / 255, self.poses.drawn(rows))
+        pose = pose if settled else pose.detached()
+        features = space.features(masks)
+        code, spread = self._coded(features, pose.detached())
+        logits = space.logits(code)
+        target = _smaller(masks, self.pixels)
+        error = binary_cross_entropy(space.seen(logits, pose, self.pixels).clamp(_SURE, 1 - _SURE), target)
+        warm = min(1.0, 0.02 + self.done) if self.first else 1.0
+        loss = error / _TEMPERATURE + warm * spread + space.elevation_cost(pose.elevation).mean()
+        loss = loss + self._heads_loss(features, pose.detached())
+        logged: Logged = {"silhouettes": error.detach(), "code": spread.detach()}
+        if self.global_step % 2 and (not self.first or self.done > _CYCLE_FROM):
+            turned, other = self._turned(logits, pose.detached())
+            cycle = self._cycle_loss(code.detach(), turned.detach(), other)
+            loss, logged["cycle"] = loss + _CYCLE_WEIGHT * cycle, cycle.detach()
+            loss, logged = self._judged(
+                loss, logged, ShapeLift.of(logits, _smaller(turned, self.pixels), target, pose, self.done)
+            )
+        if bool(self.poses.known.any()):
+            known = self._known_loss(max(1, batch // _KNOWN_SHARE), warm)
+            loss, logged["truth"] = loss + _KNOWN_WEIGHT * known, known.detach()
         return loss, logged
 
-    @property
-    def used(self) -> Float[Tensor, "shapes views"]:
-        """Share of the masks that each shape explains from each view, mirror images among them; sums to 1."""
-        used = self.lifter.grid.for_all_views(self.statistics.weight)
-        return used / used.sum().clamp_min(1e-9)
+    def _maybe_mirrored(self, masks: Tensor, pose: ObjectPose) -> tuple[Tensor, ObjectPose]:
+        if not self.mirrors:
+            return masks, pose
+        flip = torch.rand(len(masks), device=masks.device) < 0.5
+        masks = torch.where(flip[:, None, None], masks.flip(-1), masks)
+        return masks, ObjectPose.where(flip, pose.mirrored, pose)
 
-    def _lift(self, drawn: Drawn, count: int) -> ShapeLift:
-        """Return what priors judge in this step."""
-        masks = self._masks(count)
-        flat = drawn.cut.flatten(0, 1)
-        seen = flat[torch.randint(len(flat), (_SEEN,), device=flat.device)]
-        if self.lifter.grid.mirrored is not None:  # the views that are not rendered see mirror images
-            seen = torch.cat([seen[::2], seen[1::2].flip(-1)])
-        views = self.lifter.grid.views.to(masks)
-        return ShapeLift(self.lifter.full_logits, self.lifter.occupancy, seen, masks, self.used, views, self.done)
+    def _coded(self, features: Tensor, pose: ObjectPose) -> tuple[Float[Tensor, "batch code"], Float[Tensor, ""]]:
+        """Return samples of the codes of masks, and the divergence of their distribution from the prior."""
+        mean, log_variance = self.lifter.encode(features, pose)
+        code = mean + torch.randn_like(mean) * (log_variance / 2).exp()
+        return code, 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(1).mean()
 
-    def _masks(self, count: int) -> Float[Tensor, "items side side"]:
-        """Return a batch of real masks, half of them mirrored if shapes are their own mirror image."""
+    def _heads_loss(self, features: Tensor, pose: ObjectPose) -> Float[Tensor, ""]:
+        """Return how far the heads are from saying the poses as they are."""
+        space = self.lifter
+        cosine = (pose.view.flatten(1) @ space.view_matrices.flatten(1).T - 1) / 2
+        wanted = ((cosine - 1) / (_BIN * space.view_spacing) ** 2).softmax(1)
+        views = -(wanted * space.view_logits(features).log_softmax(1)).sum(1).mean()
+        start = space.usual_elevation(pose.elevation)
+        place = space.placed(features, pose.azimuth, start, pose.roll)
+        off = (place.elevation - pose.elevation).square() + (place.scale - pose.scale).square()
+        return views + _PLACE_WEIGHT * (off + (place.offset - pose.offset).square().sum(1)).mean()
+
+    def _turned(self, logits: Tensor, pose: ObjectPose) -> tuple[Float[Tensor, "batch side side"], ObjectPose]:
+        """Return silhouettes from the poses of other masks, cut out as masks are; with gradient where priors judge them."""
         assert self.frames is not None
-        crops = self.frames.crops
-        rows = torch.randint(len(crops), (count,), device=crops.device)
-        flipped = torch.rand(len(rows), device=rows.device) < (0.5 if self.mirrors else 0.0)
-        masks = crops[rows]
-        return torch.where(flipped[:, None, None], masks.flip(-1), masks)
+        rows = torch.randint(len(self.frames), (len(logits),), device=self.device)
+        _, other = self._maybe_mirrored(logits.new_zeros(len(logits), 1, 1), self.poses.drawn(rows).detached())
+        other = other._replace(scale=pose.scale, offset=torch.zeros_like(pose.offset))
+        with torch.set_grad_enabled(bool(self.terms.priors)):
+            seen = self.lifter.seen(logits, other, self.pixels)
+            return cut_out(interpolate(seen[:, None], (MASK_SIDE,) * 2, mode="bilinear")[:, 0]), other
+
+    def _cycle_loss(self, code: Tensor, turned: Tensor, pose: ObjectPose) -> Float[Tensor, ""]:
+        """Return minus the log likelihood of codes as they are encoded from the silhouettes of their shapes."""
+        mean, log_variance = self.lifter.encode(self.lifter.features(turned), pose)
+        log_variance = log_variance.clamp_min(-6)
+        return 0.5 * ((code - mean).square() / log_variance.exp() + log_variance).sum(1).mean()
+
+    def _judged(self, loss: Tensor, logged: Logged, lift: ShapeLift) -> tuple[Tensor, Logged]:
+        """Return the loss and its terms with those of the priors."""
+        if not self.terms.priors:
+            return loss, logged
+        self.last_lift = lift
+        judged, losses = self.terms.judge(lift, self.global_step)
+        own, critic_losses = self.terms.train_adversaries(lift.masks, lift.reprojected.detach())
+        return loss + judged + own, {**logged, **losses, **critic_losses}
+
+    def _known_loss(self, count: int, warm: float) -> Float[Tensor, ""]:
+        """Return the cross-entropy of known shapes, encoded from their masks and from their silhouettes in other poses."""
+        frames, space = self.frames, self.lifter
+        assert frames is not None
+        labelled = self.poses.known.nonzero()[:, 0]
+        rows = labelled[torch.randint(len(labelled), (2 * count,), device=self.device)]
+        truth = frames.shapes[frames.shape[rows]]
+        masks, pose = frames.masks[rows].float() / 255, self.poses.drawn(rows)
+        # Logits of a grid of coverage that are steep at its surface.
+        turned, other = self._turned((truth - 0.42) * 12, pose.detached())
+        half = torch.arange(len(rows), device=self.device) < count
+        pose = ObjectPose.where(half, pose, other)
+        features = space.features(torch.where(half[:, None, None], _smaller(masks, MASK_SIDE), turned.detach()))
+        code, spread = self._coded(features, pose)
+        grid = interpolate(truth[:, None], (self.grid,) * 3, mode="area")[:, 0]
+        error = nn.functional.binary_cross_entropy_with_logits(space.logits(code), grid)
+        return error / _KNOWN_TEMPERATURE + warm * spread
+
+
+def _smaller(masks: Float[Tensor, "items side side"], side: int) -> Float[Tensor, "items new new"]:
+    return interpolate(masks[:, None], (side, side), mode="area")[:, 0]
+
+
+def cut_out(image: Float[Tensor, "items side side"]) -> Float[Tensor, "items side side"]:
+    """Return silhouettes scaled and moved as masks are: the longer side of the box is `FILL` of the image, in its middle."""
+    side = image.shape[-1]
+    at = (2 * torch.arange(side, device=image.device) + 1) / side - 1
+    inside, low, high = image.detach() > 0.4, [], []
+    for axis in (1, 2):
+        covered = inside.any(axis)
+        low.append(torch.where(covered, at, 9.0).amin(1))
+        high.append(torch.where(covered, at, -9.0).amax(1))
+    half = (torch.maximum(high[0] - low[0], high[1] - low[1]) / 2 / FILL).clamp(0.2, 1.3)
+    middle = ((torch.stack(low, 1) + torch.stack(high, 1)) / 2).clamp(-0.6, 0.6)
+    places = torch.cat([torch.diag_embed(half[:, None].expand(-1, 2)), middle[..., None]], 2)
+    grid = nn.functional.affine_grid(places, [len(image), 1, side, side], align_corners=False)
+    return nn.functional.grid_sample(image[:, None], grid, align_corners=False)[:, 0]
