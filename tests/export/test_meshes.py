@@ -91,7 +91,7 @@ def test_front_left_and_up_end_where_the_axes_have_them(tmp_path: Path, suffix: 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply", ".stl"])
 def test_sizes_are_those_of_the_unit(tmp_path: Path, suffix: str) -> None:
-    mesh = surface_of(marked(), smooth=4).mesh
+    mesh = surface_of(marked(), finer=2, smooth=4).mesh
     assert mesh is not None
     own = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     high, longest = own.extents[1], own.extents.max()
@@ -112,7 +112,7 @@ def test_sizes_are_those_of_the_unit(tmp_path: Path, suffix: str) -> None:
 def test_a_mesh_in_the_camera_frame_covers_the_mask_it_came_from(tmp_path: Path) -> None:
     (path,) = write(shapes(), tmp_path / "a.ply", smooth=0)
     solid = _read(path)
-    mesh = surface_of(marked()).mesh
+    mesh = surface_of(marked(), finer=2).mesh
     assert mesh is not None
     seen = (SCALE * mesh.vertices @ view().T + [*OFFSET, 0]) * SCALE_PX
     np.testing.assert_allclose(np.sort(solid.bounds, 0), [seen.min(0), seen.max(0)], atol=0.01)

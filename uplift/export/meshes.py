@@ -17,12 +17,15 @@ from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
 from uplift.export.scene import FROM_LEVEL
+from uplift.export.texture import photos_of, textured
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import Surface, surface_of
 from uplift.models.prediction import ShapePrediction
 
 if TYPE_CHECKING:
     import trimesh
+    from PIL.Image import Image
+    from trimesh.visual.material import PBRMaterial
 
     from uplift.export import Job, Writer
 
@@ -48,11 +51,14 @@ def shape_jobs(
     length_mm: float | int | None = None,
     smooth: int = 4,
     together: bool | None = None,
+    texture: bool | None = None,
+    images: str | Path | None = None,
     **options: Any,
 ) -> list[Job]:
     """Return the files of shapes, each with what writes it; the options are those of `uplift.export.write`."""
     frame = _frame(writer, path, axes, unit, {"height_mm": height_mm, "length_mm": length_mm})
     if writer.holds == "all":
+        options |= {} if images is None else {"images": images}
 
         def write_all(file: Path) -> str:
             refuse_existing(file)
@@ -66,22 +72,75 @@ def shape_jobs(
     gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
     more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
     left_out = f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
+    photos, troubles = _photos(prediction, Path(path).suffix.lower(), texture, images)
 
     def job(part: list[int], file: Path) -> str:
-        import trimesh
-
         refuse_existing(file)
         meshes = [(item, mesh) for item in part if (mesh := cut[item].mesh) is not None]
-        placed = [(frame.placed(mesh, prediction, item), mesh.faces) for item, mesh in meshes]
-        data = writer([trimesh.Trimesh(*solid, process=False) for solid in placed], frame.about(prediction, part))
+        in_file = "vertices" if Path(path).suffix.lower() != ".glb" else "picture"
+        solids = [_solid(frame, mesh, prediction, item, photos[item], in_file) for item, mesh in meshes]
+        data = writer(solids, frame.about(prediction, part))
         with replacing(file) as handle:
             handle.write(data)
         cleaned = [cut[item].summary() for item in part]
         if len(part) > 1:
             cleaned = [f"{number}: {remark}" for number, remark in enumerate(cleaned, 1) if remark]
-        return "; ".join(filter(None, [*cleaned, left_out if part is parts[0] else ""]))
+        return "; ".join(filter(None, [*cleaned, *([left_out, *troubles] if part is parts[0] else [])]))
 
     return [(prediction.names[part[0]], partial(job, part)) for part in parts]
+
+
+_PHOTO_SIDE = 512  # pixels of a photo's crop, in a texture
+
+
+def _photos(
+    prediction: ShapePrediction, ending: str, texture: bool | None, images: str | Path | None
+) -> tuple[list[Image | None], list[str]]:
+    """Return the photo of each item that goes on its shape, None where there is none, and what went wrong with them.
+
+    Raises UserError where photos are asked for that the format cannot hold, or that nobody names.
+    """
+    if ending == ".stl" and (texture or images is not None):
+        raise UserError("a .stl has no colours: write a .glb, .obj or .ply to have the photo on the shape.")
+    if texture and prediction.images is None:
+        raise UserError(
+            "texture=true needs photos, and the masks name none. See images= of predict in docs/masks-input.md."
+        )
+    if texture is False or ending == ".stl":
+        return [None] * len(prediction), []
+    found, wrong = photos_of(prediction, images, _PHOTO_SIDE)
+    if texture and not any(found):
+        raise UserError(
+            f"texture=true needs photos, and none of those named was found, such as {prediction.images[0]}."
+        )
+    return found, wrong
+
+
+def _solid(
+    frame: Frame, mesh: Mesh, prediction: ShapePrediction, item: int, photo: Image | None, colours: str
+) -> trimesh.Trimesh:
+    """Return an item's mesh in the file's frame, with its photo as a ``picture`` or as the colours of its ``vertices``."""
+    import trimesh
+
+    points = frame.placed(mesh, prediction, item)
+    solid = trimesh.Trimesh(points, mesh.faces, process=False)
+    if photo is None:
+        return solid
+    look = textured(mesh, photo, prediction, item)
+    if colours == "vertices":
+        solid.visual = trimesh.visual.ColorVisuals(solid, vertex_colors=look.colours())
+        return solid
+    normals = solid.vertex_normals[look.corner]  # those of the mesh without seams: none is to be seen
+    split = trimesh.Trimesh(points[look.corner], look.mesh.faces, vertex_normals=normals, process=False)
+    split.visual = trimesh.visual.TextureVisuals(look.place * [1, -1] + [0, 1], _material(look.jpeg()))
+    return split
+
+
+def _material(picture: Image | None = None) -> PBRMaterial:
+    from trimesh.visual.material import PBRMaterial
+
+    colour = {"baseColorFactor": _COLOUR} if picture is None else {"baseColorTexture": picture}
+    return PBRMaterial("shape", metallicFactor=0.0, roughnessFactor=0.75, **colour)
 
 
 def _frame(
@@ -228,8 +287,10 @@ def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
 
 # Surfaces, in the frames of the shapes or where the camera sees them.
 
+_FINER = 2  # twice as fine as the grid: thin parts come out round, and files stay small
 
-def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0) -> list[Mesh | None]:
+
+def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 4) -> list[Mesh | None]:
     """Return the mesh of each item, None where its grid is empty.
 
     ``own`` is the shape's frame, the cube from -1 to 1; ``camera`` is the camera's, in units of the crop.
@@ -247,10 +308,12 @@ def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0
     return found
 
 
-def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 0) -> list[Surface]:
-    """Return the surface of each item's grid, in the shape's frame, named as the item."""
+def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 4, finer: int = _FINER) -> list[Surface]:
+    """Return the surface of each item's grid, in the shape's frame, named as the item; see `surface_of`."""
     return [
-        surface_of(np.asarray(grid, np.float32), level=prediction.level, smooth=smooth, name=name)
+        surface_of(
+            np.asarray(grid, np.float32), level=prediction.level, finer=finer, joined=True, smooth=smooth, name=name
+        )
         for grid, name in progress(
             zip(prediction.occupancy, prediction.names, strict=True), "surfaces", len(prediction)
         )
@@ -305,10 +368,9 @@ def encode_glb(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     """
     import trimesh
     from trimesh.exchange.gltf import export_glb
-    from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    look = PBRMaterial("shape", baseColorFactor=_COLOUR, metallicFactor=0.0, roughnessFactor=0.75)
+    plain = _material()
     if about["unit"] == "mm":
         about = about | {"unit": "m", "unit_is": str(about["unit_is"]).replace("millimetres", "metres")}
         for solid in solids:
@@ -317,7 +379,8 @@ def encode_glb(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     step = _APART * max(float(np.ptp(solid.vertices[:, 0])) for solid in solids)
     scene = trimesh.Scene(base_frame="world")
     for number, (item, solid) in enumerate(zip(about["items"], solids, strict=True)):
-        solid.visual = TextureVisuals(material=look)
+        if solid.visual.kind != "texture":
+            solid.visual = TextureVisuals(material=plain)
         aside = np.eye(4)
         aside[0, 3] = (number - (len(solids) - 1) / 2) * step
         name = f"{number + 1} {item['name']}" if several else item["name"]
@@ -336,7 +399,12 @@ def encode_obj(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
 
     header = "\n# ".join(_lines(about))
     text = export_obj(
-        solids[0], include_normals=True, include_color=False, include_texture=False, digits=6, header=header
+        solids[0],
+        include_normals=True,
+        include_color=solids[0].visual.kind == "vertex",
+        include_texture=False,
+        digits=6,
+        header=header,
     )
     return as_bytes(f"{text}\n")
 

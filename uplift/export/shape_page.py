@@ -12,10 +12,12 @@ import numpy as np
 
 from uplift.data.masks import Placed
 from uplift.errors import UserError
-from uplift.export.html import Curve, Photos, Section, jpeg_address, pack, scripted_page, write_text
+from uplift.export.html import Curve, Section, jpeg_address, pack, scripted_page, write_text
 from uplift.export.meshes import prediction_surfaces
+from uplift.export.texture import photos_of
 from uplift.geometry.mesh import Mesh
-from uplift.geometry.surface import Surface, thinned
+from uplift.geometry.simplify import thinned
+from uplift.geometry.surface import Surface
 from uplift.models.prediction import ShapePrediction
 
 __all__ = ["shape_page_text", "write_shape_gallery", "write_shape_page"]
@@ -69,9 +71,9 @@ def shape_page_text(
     rows = np.arange(min(items, total)) * total // min(items, total)
     shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
     data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
-    photos, wrong = _photos_of(shown, images)
+    photos, wrong = photos_of(shown, images, _SIDE_PX)
     for entry, photo in zip(data["items"], photos, strict=True):
-        entry |= {"photo": photo} if photo else {}
+        entry |= {"photo": jpeg_address(photo)} if photo else {}
     data["sheet"] = sheet and len(rows) > 1
     facts = [f"{total:,} shape{'s' * (total > 1)}", f"{side} × {side} × {side} voxels"]
     return scripted_page(
@@ -202,33 +204,3 @@ def _ordered(mesh: Mesh) -> Mesh:
 
 
 _SIDE_PX = 224  # of an item's photo
-
-
-def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
-    """Return each item's crop of its photo as a data address, empty where there is none, and what went wrong.
-
-    Photos are looked for in ``folder``, by their name or its last part, and without a folder where
-    `ShapePrediction.images` says. Raises UserError where there is no such folder.
-    """
-    photos = Photos(folder)
-    if prediction.images is None:
-        return [""] * len(prediction), []
-    names = [str(image) for image in prediction.images]
-    crops = zip(names, prediction.centre_px, prediction.scale_px, strict=True)
-    found = [_crop(photos, name, centre, float(half)) for name, centre, half in crops]
-    wrong = photos.unreadable
-    return found, [f"{len(wrong)} photos could not be read, such as {wrong[0]}."] if wrong else []
-
-
-def _crop(photos: Photos, name: str, centre: np.ndarray, half: float) -> str:
-    """Return the square about ``centre``, 2 ``half`` pixels wide, grey where the photo ends; empty without a photo."""
-    from PIL import Image
-
-    low, scale = centre - half, _SIDE_PX / (2 * half)
-    found = photos.cut(name, float(low[0]), float(low[1]), 2 * half, scale)
-    if found is None:
-        return ""
-    picture, corners = found
-    square = Image.new("RGB", (_SIDE_PX, _SIDE_PX), (128, 128, 128))
-    square.paste(picture, (round((corners[0, 0] - low[0]) * scale), round((corners[0, 1] - low[1]) * scale)))
-    return jpeg_address(square)
