@@ -96,6 +96,7 @@ _GRAZING, _SLANTED = 0.1, 0.35
 """Cosines between the ray and the surface: below the first nothing is seen, and above the second the mirror adds nothing."""
 _OWN_MIRROR, _NEAR = 0.95, 0.06
 """A shape is its own mirror image where so many corners have another one so near to theirs, in the shape's frame."""
+_EVEN_ROUNDS = 6
 
 
 def textured(mesh: Mesh, photo: Image, prediction: ShapePrediction, item: int) -> Texture:
@@ -114,6 +115,7 @@ def textured(mesh: Mesh, photo: Image, prediction: ShapePrediction, item: int) -
         mirrored, mirrored_cosine = _seen(other, mesh, prediction, item)
         kind[(mirrored_cosine > _GRAZING) & (own_cosine < _SLANTED) & (mirrored_cosine > own_cosine)] = 1
         places[1] = mirrored
+    kind = _evened(mesh.faces, kind)
     return _with_seams(mesh, kind, [*places, _spread(mesh, kind, places)], _atlas(square, prediction.masks[item]))
 
 
@@ -154,6 +156,20 @@ def _depths(points: np.ndarray, faces: np.ndarray, distance: float) -> Float[np.
         x, y = _pixels(project(dots, distance)).T
         np.minimum.at(depth, (y, x), dots[:, 2])
     return depth
+
+
+def _evened(faces: Int[np.ndarray, "faces 3"], kind: Int[np.ndarray, " faces"]) -> Int[np.ndarray, " faces"]:
+    """Return the kinds without specks: that of two or more neighbours over an edge, a few times over."""
+    edges = np.sort(np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]), 1)
+    order = np.lexsort(edges.T)
+    same = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(1))
+    first, second = order[same] % len(faces), order[same + 1] % len(faces)
+    for _ in range(_EVEN_ROUNDS):
+        votes = np.eye(3)[kind] * 1.5
+        np.add.at(votes, first, np.eye(3)[kind[second]])
+        np.add.at(votes, second, np.eye(3)[kind[first]])
+        kind = votes.argmax(1)
+    return kind
 
 
 def _is_own_mirror(mesh: Mesh) -> bool:

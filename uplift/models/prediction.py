@@ -132,6 +132,8 @@ class ShapePrediction(Samples):
     title: str = ""
     images: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    uncertainty: Float[np.ndarray, "items depth height width"] | None = None
+    """Standard deviation of each voxel's occupancy, where it is known."""
 
     def __post_init__(self) -> None:
         """Take the folders of absolute paths off the names."""
