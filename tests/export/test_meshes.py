@@ -163,12 +163,14 @@ def test_text_of_files_says_unit_axes_and_place(tmp_path: Path) -> None:
 
 def test_grids_come_back(tmp_path: Path) -> None:
     sample = shapes(2)
+    sample.uncertainty = np.sqrt(sample.occupancy * (1 - sample.occupancy))
     for name in ("a", "b"):
         write(sample, tmp_path / f"{name}.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     found = np.load(tmp_path / "a.npz", allow_pickle=False)
     np.testing.assert_array_equal(found["occupancy"], sample.occupancy)
     np.testing.assert_array_equal(found["masks"], sample.masks)
+    np.testing.assert_allclose(found["uncertainty"], sample.uncertainty, atol=1e-3)
     np.testing.assert_allclose(found["view"], sample.view, atol=1e-6)
     assert found["names"].tolist() == sample.names and found["scale_px"].tolist() == [150, 150]
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from uplift.export import Job, Writer
 
 __all__ = [
-    "SHAPE_AXES", "Frame", "encode_glb", "encode_obj", "encode_ply", "encode_stl", "in_camera", "prediction_surfaces",
+    "NO_COLOURS", "SHAPE_AXES", "Frame", "encode_glb", "encode_obj", "encode_ply", "encode_stl", "in_camera", "prediction_surfaces",
     "shape_jobs", "surfaces", "write_npz",
 ]  # fmt: skip
 
@@ -90,6 +90,7 @@ def shape_jobs(
     return [(prediction.names[part[0]], partial(job, part)) for part in parts]
 
 
+NO_COLOURS = "a .stl has no colours: write a .glb, .obj or .ply to have the photo on the shape."
 _PHOTO_SIDE = 512  # pixels of a photo's crop, in a texture
 
 
@@ -101,7 +102,7 @@ def _photos(
     Raises UserError where photos are asked for that the format cannot hold, or that nobody names.
     """
     if ending == ".stl" and (texture or images is not None):
-        raise UserError("a .stl has no colours: write a .glb, .obj or .ply to have the photo on the shape.")
+        raise UserError(NO_COLOURS)
     if texture and prediction.images is None:
         raise UserError(
             "texture=true needs photos, and the masks name none. See images= of predict in docs/masks-input.md."
@@ -335,7 +336,7 @@ def in_camera(
 _ARRAYS = {
     "occupancy": np.float16, "view": np.float32, "scale": np.float32, "offset": np.float32, "distance": np.float32,
     "names": np.str_, "centre_px": np.float32, "scale_px": np.float32, "masks": np.uint8, "level": np.float32,
-    "images": np.str_,
+    "images": np.str_, "uncertainty": np.float16,
 }  # fmt: skip
 
 
