@@ -231,6 +231,7 @@ def test_the_photo_and_the_uncertainty_are_painted_on_the_shape(show: Open, tmp_
     page.key("p")
     clay = mean()
     assert clay[0] > clay[2] and page.run("document.querySelector('[data-toggle=doubt]').checkVisibility()")
+    (tmp_path / "page.html").unlink()
     plain = show(shapes(1))
     assert not plain.run("document.querySelector('[data-toggle=doubt]').checkVisibility()") and not plain.troubles()
 
