@@ -106,7 +106,7 @@ def test_files_with_a_photo_stay_closed_and_photos_can_be_left_out(tmp_path: Pat
     (other,) = write(sample, tmp_path / "c.ply")  # no photo lies where the prediction names it
     assert b"property uchar red" not in other.read_bytes()[:2000]
     for options, told in [
-        ({"texture": True}, "none of those named was found, such as photo.png"),
+        ({"texture": True}, "was not found or read: photo.png"),
         ({"images": tmp_path / "none"}, "no such folder"),
     ]:
         with pytest.raises(UserError, match=told):

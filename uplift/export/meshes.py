@@ -16,8 +16,9 @@ from uplift.config.files import as_bytes, names_from, refuse_existing, replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
+from uplift.export.html import Photos
 from uplift.export.scene import FROM_LEVEL
-from uplift.export.texture import photos_of, textured
+from uplift.export.texture import photo_of, textured
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import Surface, surface_of
 from uplift.models.prediction import ShapePrediction
@@ -72,20 +73,24 @@ def shape_jobs(
     gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
     more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
     left_out = f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
-    photos, troubles = _photos(prediction, Path(path).suffix.lower(), texture, images)
+    ending = Path(path).suffix.lower()
+    photos = _photos(prediction, ending, texture, images)
 
     def job(part: list[int], file: Path) -> str:
         refuse_existing(file)
-        meshes = [(item, mesh) for item in part if (mesh := cut[item].mesh) is not None]
-        in_file = "vertices" if Path(path).suffix.lower() != ".glb" else "picture"
-        solids = [_solid(frame, mesh, prediction, item, photos[item], in_file) for item, mesh in meshes]
+        shown, wrong = _on_shapes(prediction, part, photos, texture)
+        solids = [
+            _solid(frame, mesh, prediction, item, photo, ending)
+            for item, photo in zip(part, shown, strict=True)
+            if (mesh := cut[item].mesh) is not None
+        ]
         data = writer(solids, frame.about(prediction, part))
         with replacing(file) as handle:
             handle.write(data)
         cleaned = [cut[item].summary() for item in part]
         if len(part) > 1:
             cleaned = [f"{number}: {remark}" for number, remark in enumerate(cleaned, 1) if remark]
-        return "; ".join(filter(None, [*cleaned, *([left_out, *troubles] if part is parts[0] else [])]))
+        return "; ".join(filter(None, [*cleaned, wrong, left_out if part is parts[0] else ""]))
 
     return [(prediction.names[part[0]], partial(job, part)) for part in parts]
 
@@ -94,10 +99,8 @@ NO_COLOURS = "a .stl has no colours: write a .glb, .obj or .ply to have the phot
 _PHOTO_SIDE = 512  # pixels of a photo's crop, in a texture
 
 
-def _photos(
-    prediction: ShapePrediction, ending: str, texture: bool | None, images: str | Path | None
-) -> tuple[list[Image | None], list[str]]:
-    """Return the photo of each item that goes on its shape, None where there is none, and what went wrong with them.
+def _photos(prediction: ShapePrediction, ending: str, texture: bool | None, images: str | Path | None) -> Photos | None:
+    """Return the photos that go on the shapes, None for none.
 
     Raises UserError where photos are asked for that the format cannot hold, or that nobody names.
     """
@@ -107,41 +110,57 @@ def _photos(
         raise UserError(
             "texture=true needs photos, and the masks name none. See images= of predict in docs/masks-input.md."
         )
-    if texture is False or ending == ".stl":
-        return [None] * len(prediction), []
-    found, wrong = photos_of(prediction, images, _PHOTO_SIDE)
-    if texture and not any(found):
-        raise UserError(
-            f"texture=true needs photos, and none of those named was found, such as {prediction.images[0]}."
-        )
-    return found, wrong
+    return None if texture is False or ending == ".stl" or prediction.images is None else Photos(images)
+
+
+def _on_shapes(
+    prediction: ShapePrediction, items: Sequence[int], photos: Photos | None, texture: bool | None
+) -> tuple[list[Image | None], str]:
+    """Return the photo of each item, None where there is none, and which could not be read."""
+    if photos is None:
+        return [None] * len(items), ""
+    known = len(photos.unreadable)
+    found = [photo_of(prediction, item, photos, _PHOTO_SIDE) for item in items]
+    wrong = photos.unreadable[known:]
+    if texture and None in found:
+        absent = wrong[0] if wrong else str((photos.absent or [""])[-1]) or "that of " + prediction.names[items[0]]
+        raise UserError(f"texture=true needs a photo for each shape, and one was not found or read: {absent}.")
+    return found, f"without photos that could not be read: {', '.join(wrong)}" if wrong else ""
 
 
 def _solid(
-    frame: Frame, mesh: Mesh, prediction: ShapePrediction, item: int, photo: Image | None, colours: str
+    frame: Frame, mesh: Mesh, prediction: ShapePrediction, item: int, photo: Image | None, ending: str
 ) -> trimesh.Trimesh:
-    """Return an item's mesh in the file's frame, with its photo as a ``picture`` or as the colours of its ``vertices``."""
+    """Return an item's mesh in the file's frame, with its photo as a texture in a .glb, else as the colours of its corners."""
     import trimesh
+    from trimesh.visual import ColorVisuals
+    from trimesh.visual.texture import TextureVisuals
 
     points = frame.placed(mesh, prediction, item)
     solid = trimesh.Trimesh(points, mesh.faces, process=False)
     if photo is None:
         return solid
     look = textured(mesh, photo, prediction, item)
-    if colours == "vertices":
-        solid.visual = trimesh.visual.ColorVisuals(solid, vertex_colors=look.colours())
+    if ending != ".glb":
+        solid.visual = ColorVisuals(solid, vertex_colors=look.colours())
         return solid
     normals = solid.vertex_normals[look.corner]  # those of the mesh without seams: none is to be seen
     split = trimesh.Trimesh(points[look.corner], look.mesh.faces, vertex_normals=normals, process=False)
-    split.visual = trimesh.visual.TextureVisuals(look.place * [1, -1] + [0, 1], _material(look.jpeg()))
+    split.visual = TextureVisuals(look.place * [1, -1] + [0, 1], _material(look.jpeg()))
     return split
 
 
 def _material(picture: Image | None = None) -> PBRMaterial:
     from trimesh.visual.material import PBRMaterial
 
-    colour = {"baseColorFactor": _COLOUR} if picture is None else {"baseColorTexture": picture}
-    return PBRMaterial("shape", metallicFactor=0.0, roughnessFactor=0.75, **colour)
+    factor = _COLOUR if picture is None else None
+    return PBRMaterial(
+        "shape", baseColorFactor=factor, baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.75
+    )
+
+
+def _kind(solid: trimesh.Trimesh) -> str | None:
+    return None if solid.visual is None else solid.visual.kind
 
 
 def _frame(
@@ -380,7 +399,7 @@ def encode_glb(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     step = _APART * max(float(np.ptp(solid.vertices[:, 0])) for solid in solids)
     scene = trimesh.Scene(base_frame="world")
     for number, (item, solid) in enumerate(zip(about["items"], solids, strict=True)):
-        if solid.visual.kind != "texture":
+        if _kind(solid) != "texture":
             solid.visual = TextureVisuals(material=plain)
         aside = np.eye(4)
         aside[0, 3] = (number - (len(solids) - 1) / 2) * step
@@ -402,7 +421,7 @@ def encode_obj(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     text = export_obj(
         solids[0],
         include_normals=True,
-        include_color=solids[0].visual.kind == "vertex",
+        include_color=_kind(solids[0]) == "vertex",
         include_texture=False,
         digits=6,
         header=header,

@@ -19,7 +19,7 @@ from uplift.models.prediction import ShapePrediction
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["Texture", "photos_of", "textured"]
+__all__ = ["Texture", "photo_of", "photos_of", "textured"]
 
 
 _QUALITY = 88
@@ -66,18 +66,19 @@ def photos_of(
     photos = Photos(folder)
     if prediction.images is None:
         return [None] * len(prediction), []
-    names = [str(image) for image in prediction.images]
-    crops = zip(names, prediction.centre_px, prediction.scale_px, strict=True)
-    found = [_crop(photos, name, centre, float(half), side) for name, centre, half in crops]
+    found = [photo_of(prediction, item, photos, side) for item in range(len(prediction))]
     wrong = photos.unreadable
     return found, [f"{len(wrong)} photos could not be read, such as {wrong[0]}."] if wrong else []
 
 
-def _crop(photos: Photos, name: str, centre: np.ndarray, half: float, side: int) -> Image | None:
-    """Return the square about ``centre``, 2 ``half`` pixels of the photo wide, grey where the photo ends."""
+def photo_of(prediction: ShapePrediction, item: int, photos: Photos, side: int) -> Image | None:
+    """Return an item's crop of its photo, ``side`` pixels wide, grey where the photo ends; None where there is none."""
     from PIL import Image
 
-    low, scale = centre - half, side / (2 * half)
+    if prediction.images is None:
+        return None
+    name, half = str(prediction.images[item]), float(prediction.scale_px[item])
+    low, scale = prediction.centre_px[item] - half, side / (2 * half)
     found = photos.cut(name, float(low[0]), float(low[1]), 2 * half, scale)
     if found is None:
         return None
@@ -194,12 +195,13 @@ def _atlas(photo: UInt8[np.ndarray, "side side 3"], mask: UInt8[np.ndarray, "pix
     from scipy import ndimage
 
     side = len(photo)
-    inside = ndimage.zoom(mask.astype(np.float32), side / len(mask), order=1, grid_mode=True, mode="nearest") > 127
-    away = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    fine = ndimage.zoom(mask.astype(np.float32), side / len(mask), order=1, grid_mode=True, mode="nearest")
+    inside = np.asarray(fine) > 127
+    away = np.asarray(ndimage.distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
     kept = inside & (away > min(_EDGE * side, 0.5 * away.max()))
     if not kept.any():
         kept = np.ones_like(inside)
-    row, column = ndimage.distance_transform_edt(~kept, return_distances=False, return_indices=True)
+    row, column = np.asarray(ndimage.distance_transform_edt(~kept, return_distances=False, return_indices=True))
     filled = photo[row, column]
     blurred = ndimage.gaussian_filter(filled.astype(np.float32), (_BLUR * side, _BLUR * side, 0), mode="nearest")
     return np.concatenate([filled, np.rint(blurred).astype(np.uint8)], 1)

@@ -144,8 +144,8 @@ def _joined(occupancy: np.ndarray, level: int | float) -> np.ndarray:
     from scipy import ndimage
     from skimage.graph import MCP_Geometric
 
-    parts, count = ndimage.label(occupancy > level, np.ones((3, 3, 3)))
-    if count < 2:
+    parts = np.zeros(occupancy.shape, np.int32)
+    if ndimage.label(occupancy > level, np.ones((3, 3, 3)), output=parts) == 1:
         return occupancy
     size = np.bincount(parts.ravel())[1:]
     largest = 1 + int(size.argmax())
