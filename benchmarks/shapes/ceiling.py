@@ -36,18 +36,13 @@ from uplift.geometry.voxels import coverage
 from uplift.metrics.shape_metrics import voxel_centres
 from uplift.models.prediction import ShapePrediction
 
-__all__ = ["Supervised", "ceiling_key", "run_ceiling", "train"]
+__all__ = ["Supervised", "run_ceiling", "train"]
 
 _RESOLUTION, _CODE, _WIDE = 32, 128, 512
 _BATCH, _RATE, _FLAT_SHARE = 48, 1.5e-3, 0.3
 _POSE_WEIGHTS = (1.0, 1.0, 10.0, 10.0, 10.0, 10.0)
 _MIRROR = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0)
 """What becomes of cosine and sine of the azimuth, elevation, scale, and offset when the mask is mirrored."""
-
-
-def ceiling_key(family: str, seconds: float, seed: int) -> str:
-    """Return the key of the stored result."""
-    return f"ceiling_{family}_{seconds:g}s_seed{seed}"
 
 
 def run_ceiling(family: str, seconds: float, seed: int) -> dict[str, Any]:
@@ -66,7 +61,7 @@ def run_ceiling(family: str, seconds: float, seed: int) -> dict[str, Any]:
         **facts(),
         **{part: value for part, value in found.to_dict().items() if part in fits.PARTS},
     }
-    store(fits.RESULTS, ceiling_key(family, seconds, seed), result)
+    store(fits.RESULTS, fits.ceiling_key(family, seconds, seed), result)
     return result
 
 
