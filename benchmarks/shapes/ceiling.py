@@ -36,7 +36,7 @@ from uplift.geometry.voxels import coverage
 from uplift.metrics.shape_metrics import voxel_centres
 from uplift.models.prediction import ShapePrediction
 
-__all__ = ["Supervised", "run_ceiling", "train"]
+__all__ = ["Supervised", "pose_of", "run_ceiling", "standing_of", "train"]
 
 _RESOLUTION, _CODE, _WIDE = 32, 128, 512
 _BATCH, _RATE, _FLAT_SHARE = 48, 1.5e-3, 0.3
@@ -91,7 +91,7 @@ class Supervised(nn.Module):
     def forward(
         self, masks: Float[Tensor, "items side side"]
     ) -> tuple[Float[Tensor, "items depth height half"], Float[Tensor, "items pose"]]:
-        """Return the logits of the occupancy at x > 0, and `_pose_of`."""
+        """Return the logits of the occupancy at x > 0, and `pose_of`."""
         code = dropout(self.shape(masks[:, None]), 0.1, self.training)
         half = self.decode(code).view(-1, _RESOLUTION, _RESOLUTION, _RESOLUTION // 2)
         return half, self.pose(masks[:, None])
@@ -103,7 +103,7 @@ class Supervised(nn.Module):
         masks = interpolate(as_tensor(data.masks)[:, None], (64, 64), mode="area")[:, 0]
         (one, pose), (other, mirrored) = self(masks), self(masks.flip(-1))
         half = (one.sigmoid() + other.sigmoid()) / 2
-        placed = _placed((pose + mirrored * pose.new_tensor(_MIRROR)) / 2, self.distance)
+        placed = standing_of((pose + mirrored * pose.new_tensor(_MIRROR)) / 2, self.distance)
         occupancy = _carved(torch.cat([half.flip(-1), half], -1), masks, placed)
         iso = _best_expected_level(occupancy)
         occupancy = _reaching(occupancy, masks, placed, iso)
@@ -116,7 +116,7 @@ class Supervised(nn.Module):
 def train(data: MaskData, truth: Placed, seconds: float, seed: int) -> tuple[Supervised, int]:
     """Return a network trained for ``seconds`` of this process's CPU time, and its number of steps."""
     torch.manual_seed(seed)
-    masks, pose = interpolate(as_tensor(data.masks)[:, None], (64, 64), mode="area")[:, 0], _pose_of(truth)
+    masks, pose = interpolate(as_tensor(data.masks)[:, None], (64, 64), mode="area")[:, 0], pose_of(truth)
     halves, shape = _halves(truth), torch.from_numpy(np.asarray(truth.shape, np.int64))
     network = Supervised(truth)
     optimizer = torch.optim.AdamW(network.parameters(), _RATE, betas=(0.9, 0.98), weight_decay=0.01, fused=True)
@@ -154,10 +154,11 @@ def _halves(truth: Placed) -> Tensor:
     return torch.from_numpy(found)
 
 
-# Poses: cosine and sine of the azimuth, elevation, scale and offset.
+# Poses as numbers that a network gives.
 
 
-def _pose_of(truth: Placed) -> Float[Tensor, "items pose"]:
+def pose_of(truth: Placed) -> Float[Tensor, "items pose"]:
+    """Return cosine and sine of the azimuth, elevation, scale and offset of each item."""
     view = torch.as_tensor(np.asarray(truth.view), dtype=torch.float32)
     azimuth = torch.atan2(-view[:, 2, 0], view[:, 2, 2])
     rest = (torch.as_tensor(np.asarray(part), dtype=torch.float32) for part in (truth.scale[:, None], truth.offset))
@@ -180,7 +181,8 @@ class _Poses:
         return (camera[..., :2] + self.offset[:, None]) / (1 + camera[..., 2:] / self.distance[:, None, None])
 
 
-def _placed(pose: Float[Tensor, "items pose"], distance: float) -> _Poses:
+def standing_of(pose: Float[Tensor, "items pose"], distance: float) -> _Poses:
+    """Return where shapes of these poses stand; ``distance`` is in units of the shape."""
     azimuth, scale = torch.atan2(pose[:, 1], pose[:, 0]), pose[:, 3].clamp_min(0.05)
     return _Poses(level(pose[:, 2]).mT @ about_y(azimuth), scale, pose[:, 4:], distance * scale)
 
