@@ -14,7 +14,7 @@ from uplift.geometry.mesh import Mesh
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Surface", "surface_of"]
+__all__ = ["Surface", "surface_of", "written_surface"]
 
 _FROM_LEVEL = 1e-4
 """Corners of voxels keep so far from the level: a surface through a corner would have triangles without area."""
@@ -87,6 +87,23 @@ def surface_of(
         _smoothed(kept, smooth)
     mesh = Mesh(np.asarray(kept.vertices, float), np.asarray(kept.faces, np.int64), name, category)
     return Surface(mesh, "", bool(kept.is_watertight), int(kept.body_count), specks, cavities)
+
+
+_FINER, _SMOOTH = 2, 4
+
+
+def written_surface(
+    occupancy: Float[np.ndarray, "depth height width"],
+    level: int | float,
+    *,
+    smooth: int = _SMOOTH,
+    finer: int = _FINER,
+    name: str = "",
+) -> Surface:
+    """Return the surface of a lifted shape as files and pages have it, and as it is scored: `surface_of`, fine and joined."""
+    return surface_of(
+        np.asarray(occupancy, np.float32), level=level, finer=finer, joined=True, smooth=smooth, name=name
+    )
 
 
 def _cut(occupancy: np.ndarray, level: int | float, finer: int) -> trimesh.Trimesh:

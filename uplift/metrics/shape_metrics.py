@@ -19,6 +19,7 @@ from uplift.data.masks import Placed
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.rotation import about_y
 from uplift.geometry.silhouette import cover
+from uplift.geometry.surface import written_surface
 from uplift.models.prediction import ShapePrediction
 
 __all__ = [
@@ -42,6 +43,8 @@ class Standing:
     """Where the origin of the shape's frame is in the camera frame."""
     distance: float
     """Of the camera; infinite for parallel rays."""
+    as_written: bool = False
+    """Whether its surface is the one that files and pages have: smooth, cut finer than the grid."""
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, "depth height width"]:
@@ -67,9 +70,13 @@ class Standing:
 
     @cached_property
     def surface(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-        """Vertices in the shape's frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
+        """Vertices in the shape's frame, and faces, of the surface at the level; none of an empty shape."""
         if self.empty:
             return np.zeros((0, 3)), np.zeros((0, 3), int)
+        if self.as_written:
+            mesh = written_surface(self.occupancy.numpy(), self.level).mesh
+            if mesh is not None:
+                return mesh.vertices, mesh.faces
         side = self.occupancy.shape[0]
         around = tuple(slice(s.start, s.stop + 2) for s in self.span)  # one more on each side, of a padded grid
         index, faces, _, _ = marching_cubes(np.pad(self.occupancy.numpy(), 1)[around], self.level)
@@ -140,7 +147,7 @@ class Standing:
 
 def predicted(prediction: ShapePrediction, row: int) -> Standing:
     """Return a lifted shape where the prediction puts it."""
-    return _standing(prediction.occupancy[row], prediction.level, prediction, row)
+    return replace(_standing(prediction.occupancy[row], prediction.level, prediction, row), as_written=True)
 
 
 def true(truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> Standing:

@@ -134,8 +134,6 @@ class ShapePrediction(Samples):
     uncertainty: Float[np.ndarray, "items depth height width"] | None = None
     """The standard deviation of each voxel's occupancy over the shapes that a mask leaves open, where it is known."""
     notes: tuple[str, ...] = ()
-    uncertainty: Float[np.ndarray, "items depth height width"] | None = None
-    """Standard deviation of each voxel's occupancy, where it is known."""
 
     def __post_init__(self) -> None:
         """Take the folders of absolute paths off the names."""
