@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from modules import shape_module
+from modules import mixture_module
 from shape_mixtures import chair, masks_of, mixture_of, small
 from torch import Tensor, nn
 
@@ -19,10 +19,10 @@ from uplift.errors import UserError
 from uplift.models.mixture import Drawn, ShapeMixture, temperature_at
 from uplift.priors import build_priors
 from uplift.priors.base import ShapeLift, ShapePrior
-from uplift.training.shapes import EStepStatistics, ShapeModule
+from uplift.training.mixture import EStepStatistics, MixtureModule
 
 
-class Alone(ShapeModule):
+class Alone(MixtureModule):
     """Without Lightning, which counts the steps."""
 
     global_step = 0  # type: ignore[assignment]
@@ -34,7 +34,9 @@ def training(
     """Return the training of a fresh mixture."""
     torch.manual_seed(0)
     teacher = {"learning_rate": 0.05, "average": None, **more}
-    return shape_module(ShapeMixture(settings), to_mask_set(data, settings), priors, hot=hot, kind=Alone, **teacher)
+    return mixture_module(
+        ShapeMixture(settings), to_mask_set(data, settings, settings.coarse), priors, hot=hot, kind=Alone, **teacher
+    )
 
 
 def run(module: Alone, steps: int, batch_size: int = 16) -> list[dict[str, float]]:
@@ -75,7 +77,7 @@ def test_labels_pull_shapes_to_the_truth(data: MaskData) -> None:
         assert ("truth" in logged[0]) == labelled
         if labelled:
             assert logged[-1]["truth"] < 0.8 * logged[0]["truth"]
-        true = to_mask_set(replace(data, labelled=np.ones(len(data), bool)), settings).shapes
+        true = to_mask_set(replace(data, labelled=np.ones(len(data), bool)), settings, settings.coarse).shapes
         losses[labelled] = float(nn.functional.binary_cross_entropy(module.lifter.occupancy.detach(), true))
     assert losses[True] < 0.95 * losses[False]
 
@@ -229,10 +231,10 @@ def test_a_critic_is_held_still_while_it_judges(data: MaskData) -> None:
 
 
 def test_a_mixture_that_knows_its_shape_costs_less(data: MaskData) -> None:
-    settings = small(detail=16, crop=20, parts=1)
+    settings = small(coarse=16, crop=20, parts=1)
     energies = []
     for mixture in (ShapeMixture(settings), mixture_of((0,), settings)):
-        module = shape_module(mixture, to_mask_set(data, settings), average=None)
+        module = mixture_module(mixture, to_mask_set(data, settings, settings.coarse), average=None)
         torch.manual_seed(0)
         module.done = 1.0
         energies.append(float(module.objective(30)[1]["energy"]))
