@@ -62,8 +62,8 @@ def data() -> MaskData:
 def test_shapes_come_to_explain_the_masks(data: MaskData) -> None:
     module = training(data, small(temperature_start=0.05, temperature_end=0.05))
     before = module.lifter.logits.detach().clone()
-    logged = run(module, 25)
-    assert np.mean([row["energy"] for row in logged[-5:]]) < 0.9 * logged[0]["energy"]
+    logged = run(module, 45)
+    assert np.mean([row["energy"] for row in logged[-5:]]) < 0.8 * logged[0]["energy"]
     assert not torch.allclose(module.lifter.logits, before, atol=0.1)
 
 
