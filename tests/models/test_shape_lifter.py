@@ -269,18 +269,21 @@ def test_every_ray_of_the_mask_reaches_the_level(level: float, lifted: LiftedSha
 
 @given(st.integers(0, 10_000), st.floats(0.1, 0.8), st.floats(0.4, 3))
 @settings(max_examples=8)
-def test_the_level_is_that_of_the_best_iou_over_draws(seed: int, share: float, sure: float) -> None:
-    """Shapes are drawn from their probabilities; no other threshold does better on them."""
+def test_the_level_is_the_lowest_with_nearly_the_best_iou_over_draws(seed: int, share: float, sure: float) -> None:
+    """Shapes are drawn from their probabilities; no other threshold does much better on them, and no lower one as well."""
     torch.manual_seed(seed)
     blob = torch.nn.functional.interpolate(torch.randn(3, 1, 4, 4, 4), (8, 8, 8), mode="trilinear")[:, 0]
     probability = torch.sigmoid((blob - 0.3) * 4 * sure) * share
     drawn = torch.rand(400, *probability.shape) < probability
     scores = {}
-    for threshold in (0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.35, 0.4, 0.45, 0.5):
+    for threshold in (*np.arange(0.04, 0.2, 0.02), *np.arange(0.2, 0.51, 0.05), choose_iso_threshold(probability)):
         guess = (probability > threshold)[None]
         overlap = (drawn & guess).sum((2, 3, 4)) / (drawn | guess).sum((2, 3, 4)).clamp_min(1)
         scores[threshold] = float(overlap.mean())
-    assert scores[choose_iso_threshold(probability)] > max(scores.values()) - 0.01
+    chosen = choose_iso_threshold(probability)
+    assert scores[chosen] > 0.965 * max(scores.values())
+    lower = [score for threshold, score in scores.items() if threshold < chosen - 0.06]
+    assert max(lower, default=0.0) < max(scores.values())
 
 
 def test_the_level_of_fainter_shapes_is_lower(lifted: LiftedShapes) -> None:
