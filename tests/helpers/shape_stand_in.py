@@ -75,7 +75,7 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[MaskDataModu
 
         def __init__(self, settings: Settings, data: MaskDataModule):
             self.settings, self.notes, self.spent = settings, ["a stand-in"], {"guess": 0.5}
-            self.steps, self.idle_priors = {"guess": 2}, {}
+            self.steps, self.idle_priors, self.training_views = {"guess": 2}, {}, None
             given.append(data)
 
         def train(self, run: RunFolder) -> Any:
