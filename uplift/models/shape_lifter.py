@@ -175,7 +175,7 @@ def _refined(
     optimizer = torch.optim.Adam(groups)
     stream = torch.Generator(code.device).manual_seed(0)
     for _ in range(steps):
-        noise = torch.randn(code.shape, generator=stream, device=code.device)
+        noise = torch.randn(code.shape[1], generator=stream, device=code.device)  # of all items: each is lifted for itself
         with torch.enable_grad():
             at = code + noise * state.deviation * _SPREAD
             cost = _cost(space, at, code, pose, target, temperature).sum()
@@ -201,7 +201,7 @@ def _expected(space: ShapeSpace, state: _State, masks: Tensor, resolution: int) 
     stream = torch.Generator(masks.device).manual_seed(1)
     total = squares = torch.zeros(())
     for _ in range(_SAMPLES):
-        noise = torch.randn(state.code.shape, generator=stream, device=masks.device)
+        noise = torch.randn(state.code.shape[1], generator=stream, device=masks.device)
         logits = space.logits(state.code + noise * state.deviation * _SPREAD)
         if resolution != space.detail:
             logits = nn.functional.interpolate(logits[:, None], (resolution,) * 3, mode="trilinear")[:, 0]
