@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
@@ -55,9 +56,8 @@ def front_of_views(
     return _exact(max(candidates, key=lambda one: float((one * wanted).sum())))
 
 
-def _nearest_about(wanted: Tensor, about: object) -> Tensor:
+def _nearest_about(wanted: Tensor, about: Callable[[Tensor], Tensor]) -> Tensor:
     """Return the rotation about an axis that is nearest to ``wanted``: trace(R' W) = c + a cos + b sin of its angle."""
-    assert callable(about)
     none, quarter, half = about(torch.tensor([0.0, math.pi / 2, math.pi], dtype=torch.float64))
     low, middle, high = ((turn * wanted).sum() for turn in (half, quarter, none))
     return about(torch.atan2(middle - (low + high) / 2, (high - low) / 2)[None])[0]

@@ -48,7 +48,7 @@ from uplift.models.predict import (
 )
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_groups import lift_groups
-from uplift.models.shape_lifter import LiftedShapes, fill_rays, lift_masks
+from uplift.models.shape_lifter import LiftedShapes, fill_rays, lift_masks, of_groups
 from uplift.models.shape_space import ShapeSpace
 from uplift.models.together import (
     Scene,
@@ -587,9 +587,7 @@ class ShapeModel(_Saved):
         found, level = self.lift(data.masks, refine=refine, group=number), float(self.lifter.level)
         filled = fill_rays(found, as_tensor(data.masks), level, symmetric=self.settings.symmetric)
         if number is not None:
-            groups = torch.from_numpy(number)
-            shared = filled.new_zeros(int(number.max()) + 1, *filled.shape[1:])
-            filled = shared.index_reduce_(0, groups, filled, "amax")[groups]
+            filled = of_groups(filled, torch.from_numpy(number), "amax")
         return ShapePrediction(
             **{name: part.numpy() for name, part in vars(replace(found, occupancy=filled)).items()},
             masks=data.masks,

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from uplift.models.shape_lifter import (
     FIRST_STEPS,
-    Chosen,
     LiftedShapes,
     State,
     chosen_views,

@@ -19,7 +19,7 @@ from uplift.models.view_hypotheses import ViewHypotheses
 
 __all__ = [
     "LiftedShapes", "State", "choose_iso_threshold", "chosen_views", "encoded", "expected_shapes", "fill_rays", "first_states",
-    "lift_masks", "pick_views", "refined", "target_of",
+    "lift_masks", "of_groups", "pick_views", "refined", "target_of",
 ]  # fmt: skip
 
 
@@ -289,8 +289,18 @@ def expected_shapes(
     found = LiftedShapes(total, deviation, pose.view @ back, pose.scale, pose.offset, distance, *chosen)
     kept = _carved(found, masks, symmetric=space.settings.symmetric)
     if group is not None:
-        kept = kept.new_ones(len(state.code), *kept.shape[1:]).index_reduce_(0, group, kept, "amin")[group]
+        kept = of_groups(kept, group, "amin")
     return LiftedShapes(**{**vars(found), "occupancy": found.occupancy * kept, "uncertainty": found.uncertainty * kept})
+
+
+def of_groups(
+    grids: Float[Tensor, "items depth height width"], group: Int[Tensor, " items"], how: str
+) -> Float[Tensor, "items depth height width"]:
+    """Return for each item the ``amin`` or ``amax`` of the grids of its group."""
+    flat = grids.flatten(1)
+    found = flat.new_zeros(int(group.max()) + 1, flat.shape[1])
+    found = found.scatter_reduce(0, group[:, None].expand_as(flat), flat, how, include_self=False)
+    return found[group].view_as(grids)
 
 
 # Carving by the mask, and the iso threshold.
