@@ -1,8 +1,10 @@
 """Fit lifters of masks and compare their shapes with the baselines and a supervised twin.
 
-demo is `uplift fit task=masks_demo`; families the same on other simulated shapes; twin is trained on every true
-shape, semi on a few; animals tests on held-out species (needs UPLIFT_DATA with animal_meshes); cost measures a
-training step at each resolution. Results stored in benchmarks/results/shapes.json are not computed again.
+demo is `uplift fit task=masks_demo`; families the same on chairs, sofas, cars and simulated animals; ceiling trains a
+supervised network on their true shapes and views and says which share of its figures the fits reach; twin is trained
+on every true shape, semi on a few; animals tests on held-out species (needs UPLIFT_DATA with animal_meshes), modelnet
+on ModelNet10 (--folder, where you have it); cost measures a training step at each resolution. Results stored in
+benchmarks/results/shapes.json are not computed again.
 """
 
 from __future__ import annotations
@@ -16,8 +18,8 @@ from pathlib import Path
 from benchmarks.common import markdown, run_missing, store, stored, table_parser, text
 from benchmarks.shapes import fits
 from benchmarks.shapes.cost import RESOLUTIONS, measured_apart
-from benchmarks.shapes.fits import COMMANDS, cells_of, run_cell
-from benchmarks.shapes.show import cost_sheet, sheets_of
+from benchmarks.shapes.fits import COMMANDS, FAMILIES, ceiling_key, cells_of, run_cell
+from benchmarks.shapes.show import ceiling_sheets, cost_sheet, sheets_of
 
 __all__ = ["main"]
 
@@ -26,15 +28,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is not stored yet and print the tables; 1 if something failed."""
     given = _parser().parse_args(arguments)
     cells = [cell for name in given.commands if name in COMMANDS for cell in cells_of(name, given.seeds, given.minutes)]
-    jobs: dict[str, Callable[[], object]] = {cell.key: partial(run_cell, cell, given.runs) for cell in cells}
+    if "modelnet" in given.commands and given.folder is None:
+        print("modelnet: skipped, no --folder of ModelNet10 (docs/masks-data.md)", flush=True)
+    fitted = [cell for cell in cells if not cell.modelnet or given.folder is not None]
+    jobs: dict[str, Callable[[], object]] = {
+        cell.key: partial(run_cell, cell, given.runs, given.folder) for cell in fitted
+    }
+    jobs |= _ceilings(given) if "ceiling" in given.commands else {}
     for resolution in given.resolutions if "cost" in given.commands else []:
         key = f"cost_{resolution}" + (f"_{given.threads}threads" if given.threads else "")
         jobs[key] = partial(_run_cost, key, resolution, given.steps, given.threads)
     failed = 0 if given.print else run_missing(fits.RESULTS, jobs)
     results = stored(fits.RESULTS)
-    for sheet in [*sheets_of(cells, results), *(cost_sheet(results) if "cost" in given.commands else [])]:
+    sheets = [
+        *sheets_of(cells, results),
+        *(ceiling_sheets(results, given.families, given.seconds) if "ceiling" in given.commands else []),
+        *(cost_sheet(results) if "cost" in given.commands else []),
+    ]
+    for sheet in sheets:
         print((markdown if given.markdown else text)(sheet), flush=True)
     return 1 if failed else 0
+
+
+def _ceilings(given: argparse.Namespace) -> dict[str, Callable[[], object]]:
+    return {
+        ceiling_key(family, given.seconds, seed): partial(_run_ceiling, family, given.seconds, seed)
+        for seed in given.seeds
+        for family in given.families
+    }
+
+
+def _run_ceiling(family: str, seconds: float, seed: int) -> None:
+    from benchmarks.shapes.ceiling import run_ceiling
+
+    run_ceiling(family, seconds, seed)
 
 
 def _run_cost(key: str, resolution: int, steps: int, threads: int | None) -> None:
@@ -43,10 +70,14 @@ def _run_cost(key: str, resolution: int, steps: int, threads: int | None) -> Non
 
 def _parser() -> argparse.ArgumentParser:
     parser = table_parser("shapes", __doc__)
-    parser.add_argument("commands", nargs="+", choices=[*COMMANDS, "cost"], metavar="COMMAND",
-                        help=f"any of {', '.join(COMMANDS)}, cost")  # fmt: skip
+    parser.add_argument("commands", nargs="+", choices=[*COMMANDS, "ceiling", "cost"], metavar="COMMAND",
+                        help=f"any of {', '.join(COMMANDS)}, ceiling, cost")  # fmt: skip
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], metavar="N", help="default 0 1 2")
     parser.add_argument("--minutes", type=float, help="training time, default: the task's")
+    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
+                        help=f"for ceiling, default {' '.join(FAMILIES)}")  # fmt: skip
+    parser.add_argument("--seconds", type=float, default=150, help="CPU time of ceiling's training, default 150")
+    parser.add_argument("--folder", type=Path, help="of ModelNet10, for modelnet")
     parser.add_argument("--runs", type=_folder, metavar="FOLDER", help="keep the run folders here")
     parser.add_argument("--resolutions", nargs="+", type=int, default=list(RESOLUTIONS), metavar="N", help="for cost")
     parser.add_argument("--steps", type=int, default=20, help="steps that cost measures, default 20")

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import ROOT, BenchmarkError, data_folder, facts, max_time, store
+from uplift.config.loading import load_settings
 from uplift.data.concat import concat_masks
 from uplift.data.formats.masks_npz import write_masks_npz
+from uplift.data.load_masks import views_of
 from uplift.data.masks import MaskData
 from uplift.data.parsers.meshes import MeshOptions, read_meshes
 from uplift.data.synthetic.masks import simulate_masks
@@ -23,25 +25,30 @@ __all__ = [
     "COMMANDS",
     "FAMILIES",
     "HELD_OUT",
+    "MODELNET",
+    "PARTS",
     "RESULTS",
     "TASK",
     "Cell",
     "Sizes",
     "animal_masks",
+    "ceiling_key",
     "cells_of",
+    "modelnet_masks",
     "run_cell",
 ]
 
 RESULTS = ROOT / "benchmarks" / "results" / "shapes.json"
 TASK = "masks_demo"
-FAMILIES = ("chairs", "furniture", "vehicles", "animals")
-COMMANDS = ("demo", "families", "twin", "semi", "animals")
-"""The commands that fit; `cost` measures steps."""
+FAMILIES = ("chairs", "sofas", "cars", "animals")
+MODELNET = ("chair", "sofa")
+COMMANDS = ("demo", "families", "twin", "semi", "animals", "modelnet")
+"""The commands that fit; `cost` measures steps, `ceiling` trains the supervised network."""
 
 
 HELD_OUT = ("Cow", "ShibaInu")
 """Species of the test, as in the keypoints of `quadruped`."""
-_PARTS = ("items", "overall", "floors", "per_category", "notes")
+PARTS = ("items", "overall", "floors", "per_category", "notes")
 _SIMULATED_SEED, _TRAIN_SEED, _TEST_SEED = 0, 1, 2
 
 
@@ -58,6 +65,8 @@ class Cell:
     """Training time; None: the task's."""
     animals: bool = False
     """Whether it is trained on `animal_masks`."""
+    modelnet: str = ""
+    """The category of `modelnet_masks` that it is trained on."""
 
     @property
     def spent(self) -> str:
@@ -79,6 +88,11 @@ class Cell:
         return words
 
 
+def ceiling_key(family: str, seconds: float, seed: int) -> str:
+    """Return the key of the stored result."""
+    return f"ceiling_{family}_{seconds:g}s_seed{seed}"
+
+
 def cells_of(command: str, seeds: Sequence[int], minutes: float | None = None) -> list[Cell]:
     """Return the fits of a command, seed by seed, so that every row has results early."""
     rows = {
@@ -87,23 +101,32 @@ def cells_of(command: str, seeds: Sequence[int], minutes: float | None = None) -
         "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true"))],
         "semi": [("semi", "masks_semi", ())],
         "animals": [("animals", "masks_animals", ())],
+        "modelnet": [(f"modelnet_{category}", TASK, ()) for category in MODELNET],
     }[command]
     return [
-        Cell(name, seed, task, words, minutes, animals=command == "animals")
+        Cell(
+            name,
+            seed,
+            task,
+            words,
+            minutes,
+            command == "animals",
+            name.removeprefix("modelnet_") if command == "modelnet" else "",
+        )
         for seed in seeds
         for name, task, words in rows
     ]
 
 
-def run_cell(cell: Cell, runs: Path | None = None) -> dict[str, Any]:
-    """Fit, evaluate, store the result and return it; the run is kept in ``runs``, if given.
+def run_cell(cell: Cell, runs: Path | None = None, folder: Path | None = None) -> dict[str, Any]:
+    """Fit, evaluate, store the result and return it; the run is kept in ``runs``, if given. ``folder``: ModelNet10's.
 
     Raises:
         BenchmarkError: the fit failed, or nothing was evaluated.
     """
-    words = [*_data_words(cell), *cell.overrides]
+    words = [*_data_words(cell, folder), *cell.overrides]
     start = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(runs or folder):
+    with tempfile.TemporaryDirectory() as empty, contextlib.chdir(runs or empty):
         evaluation = _evaluation(cell.task, words)
     result = {
         "command": " ".join(["uplift fit", f"task={cell.task}", *words]).replace(
@@ -114,24 +137,23 @@ def run_cell(cell: Cell, runs: Path | None = None) -> dict[str, Any]:
         "minutes": cell.minutes,
         **facts(),
         "wall_seconds": round(time.monotonic() - start, 1),
-        **{part: evaluation[part] for part in _PARTS if part in evaluation},
+        **{part: evaluation[part] for part in PARTS if part in evaluation},
     }
     store(RESULTS, cell.key, result)
     return result
 
 
-def _data_words(cell: Cell) -> list[str]:
+def _data_words(cell: Cell, folder: Path | None) -> list[str]:
     """Return the settings of the cell's mask files, if they differ from the task's."""
-    if not cell.animals:
+    if not cell.animals and not cell.modelnet:
         return []
-    files = animal_masks()
+    files = modelnet_masks(cell.modelnet, folder) if cell.modelnet else animal_masks()
     return ["data.simulate=0", f"data.train={files['train'].absolute()}", f"data.test={files['test'].absolute()}"]
 
 
 def _evaluation(task: str, words: list[str]) -> dict[str, Any]:
     """Fit in the current folder and return the content of evaluation.json."""
     from uplift.cli import fit
-    from uplift.config.loading import load_settings
 
     try:
         evaluation = fit.fit_settings(load_settings(task, words)).evaluation()
@@ -193,6 +215,34 @@ def _posed_animals(files: list[Path], poses: int, views: int, seed: int) -> Mask
     options = MeshOptions(poses=poses, animations=("-Death",), seed=seed)
     meshes = [mesh.in_unit() for mesh in read_meshes([str(file) for file in files], options)]
     return simulate_masks(meshes, len(meshes) * views, seed=seed, views_per_shape=views)
+
+
+# Masks of ModelNet10, which its user has downloaded (docs/masks-data.md), in its own split.
+
+_VIEWS = 4
+"""Per training shape; each test shape is seen once."""
+_UP = MeshOptions(up="z")
+
+
+def modelnet_masks(category: str, folder: Path | None, cache: Path | None = None) -> dict[str, Path]:
+    """Return the files of the ``train`` and ``test`` masks of a category; those missing in ``cache`` are rendered.
+
+    Raises:
+        BenchmarkError: no folder with this category.
+    """
+    if folder is None or not (folder / category / "train").is_dir():
+        where = "not given" if folder is None else f"{folder} has no {category}/train"
+        raise BenchmarkError(f"ModelNet10: {where}. Download it (docs/masks-data.md) and give its --folder.")
+    cache = cache or _cache_folder()
+    cache.mkdir(parents=True, exist_ok=True)
+    views = views_of(load_settings(TASK, []))
+    found = {part: cache / f"modelnet_{category}_{part}.npz" for part in ("train", "test")}
+    for (part, path), count, seed in zip(found.items(), (_VIEWS, 1), (_TRAIN_SEED, _TEST_SEED), strict=True):
+        if not path.is_file():
+            meshes = [mesh.in_unit() for mesh in read_meshes(folder / category / part, _UP)]
+            masks = simulate_masks(meshes, len(meshes) * count, seed=seed, views=views, views_per_shape=count)
+            write_masks_npz(masks, path)
+    return found
 
 
 def _files() -> tuple[list[Path], list[Path]]:

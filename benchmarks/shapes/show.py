@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from benchmarks.common import Sheet, mean_and_range
-from benchmarks.shapes.fits import Cell
+from benchmarks.shapes.fits import Cell, ceiling_key
 
-__all__ = ["cost_sheet", "sheets_of"]
+__all__ = ["ceiling_sheets", "cost_sheet", "sheets_of"]
 
-_BESIDE = ("volume_iou", "silhouette_iou_unseen")
-_ALONE = ("silhouette_iou_seen", "chamfer", "f_score", "normal_consistency", "handedness", "azimuth_deg")
-_OF_FLOORS = ("volume_iou", "silhouette_iou_seen", "silhouette_iou_unseen", "chamfer", "f_score", "handedness")
-_OF_CATEGORIES = ("volume_iou", "silhouette_iou_unseen", "chamfer", "f_score", "handedness")
+_BESIDE = ("silhouette_iou_unseen", "f_score", "volume_iou")
+_ALONE = (
+    "chamfer", "volume_iou_aligned", "silhouette_iou_seen", "normal_consistency", "handedness", "views_within_20", "azimuth_deg",
+)  # fmt: skip
+_LEADING = ("silhouette_iou_unseen", "f_score", "chamfer", "volume_iou", "volume_iou_aligned")
+_OF_FLOORS = (*_LEADING, "silhouette_iou_seen", "handedness")
+_OF_CATEGORIES = (*_LEADING, "handedness")
+_SHARED = ("silhouette_iou_unseen", "f_score", "volume_iou", "volume_iou_aligned")
 
 Results = Mapping[str, Mapping[str, Any]]
 
@@ -37,7 +43,7 @@ def _fit_row(name: tuple[str, str], found: list[Mapping[str, Any]]) -> list[str]
     overalls = [one["overall"] for one in found]
     cells = []
     for metric in _BESIDE:
-        pairs = [(one.get(metric), one.get(f"best_floor_{metric}")) for one in overalls]
+        pairs = [(one["overall"].get(metric), _best_floor(one, metric)) for one in found]
         gains = [mine - floor for mine, floor in pairs if mine is not None and floor is not None]
         cells += [
             mean_and_range([mine for mine, _ in pairs]),
@@ -50,6 +56,54 @@ def _fit_row(name: tuple[str, str], found: list[Mapping[str, Any]]) -> list[str]
         *cells,
         *(mean_and_range([one.get(metric) for one in overalls]) for metric in _ALONE),
     ]
+
+
+def _best_floor(result: Mapping[str, Any], metric: str) -> float | None:
+    """Return the highest figure of the baselines."""
+    return max((of[metric] for of in result.get("floors", {}).values() if metric in of), default=None)
+
+
+def ceiling_sheets(results: Results, families: Sequence[str], seconds: float) -> list[Sheet]:
+    """Return the supervised network beside the best baseline and the fits from masks alone, and the share that these reach.
+
+    Means over the stored seeds of each; the share is that of the means.
+    """
+    rows = []
+    for family in families:
+        above = _seeds_of(results, ceiling_key(family, seconds, 0))
+        fits = _seeds_of(results, f"family_{family}_seed0") or _seeds_of(
+            results, "demo_seed0" if family == "chairs" else ""
+        )
+        floors = [{m: _best_floor(one, m) for m in _SHARED} for one in above]
+        means = {
+            "supervised": _means([one["overall"] for one in above]),
+            "masks alone": _means([one["overall"] for one in fits]),
+            "best floor": _means(floors),
+        }
+        counts = {"supervised": len(above), "masks alone": len(fits), "best floor": len(above)}
+        rows += [
+            [family, name, f"{counts[name]}", *(f"{of[m]:.3f}" if m in of else "-" for m in _SHARED)]
+            for name, of in means.items()
+            if of
+        ]
+        if above and fits:
+            top, mine = means["supervised"], means["masks alone"]
+            shares = (f"{mine[m] / top[m]:.2f}" if m in top and m in mine else "-" for m in _SHARED)
+            rows.append([family, "share reached", "", *shares])
+    head = ["family", "trained on", "seeds", *_SHARED]
+    return [Sheet(f"ceiling: a supervised network, {seconds:g} s of one CPU thread", head, rows)] if rows else []
+
+
+def _seeds_of(results: Results, key: str) -> list[Mapping[str, Any]]:
+    start = key.removesuffix("0")
+    return [
+        one for name, one in results.items() if key and name.startswith(start) and name.removeprefix(start).isdigit()
+    ]
+
+
+def _means(figures: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+    known = {metric: [of[metric] for of in figures if of.get(metric) is not None] for metric in _SHARED}
+    return {metric: float(np.mean(np.array(values, float))) for metric, values in known.items() if values}
 
 
 def _group_rows(

@@ -10,10 +10,12 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
+import trimesh
 
-from benchmarks.common import BenchmarkError
+from benchmarks.common import BenchmarkError, store
 from benchmarks.shapes import __main__ as benchmark
-from benchmarks.shapes import cost, fits
+from benchmarks.shapes import ceiling, cost, fits
 from benchmarks.shapes.fits import COMMANDS, FAMILIES, Cell, cells_of
 from uplift.cli import fit
 from uplift.config.loading import load_settings
@@ -87,13 +89,61 @@ def test_from_the_fit_to_the_table(
     printed = capsys.readouterr().out
     lines = [line for line in printed.splitlines() if line.startswith("| demo")]
     row = [cell.strip() for cell in lines[0].strip("|").split("|")]
-    volume = [result["overall"]["volume_iou"] for result in (one, two)]
-    gain = [v - r["overall"]["best_floor_volume_iou"] for v, r in zip(volume, (one, two), strict=True)]
+    unseen = [result["overall"]["silhouette_iou_unseen"] for result in (one, two)]
+    gain = [v - r["overall"]["best_floor_silhouette_iou_unseen"] for v, r in zip(unseen, (one, two), strict=True)]
     assert row[:3] == ["demo", "task's", "2"]
-    assert float(row[3].split()[0]) == pytest.approx(np.mean(volume), abs=6e-4)
-    assert row[3].endswith(f"({min(volume):.3f} to {max(volume):.3f})")
+    assert float(row[3].split()[0]) == pytest.approx(np.mean(unseen), abs=6e-4)
+    assert row[3].endswith(f"({min(unseen):.3f} to {max(unseen):.3f})")
     assert float(row[5].split()[0]) == pytest.approx(np.mean(gain), abs=6e-4)
     assert [line.split("|")[2].strip() for line in lines[1:]] == ["hull", "mean_shape", "nearest"]
+
+
+def test_the_ceiling_and_the_share_of_it(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "few.yaml").write_text("lifts: masks\ndata: {simulate: 12}\nshape: {elevation_deg: [25, 8]}\n")
+    monkeypatch.setattr(fits, "TASK", str(tmp_path / "few.yaml"))
+    store(results, "family_cars_seed0", {"overall": {"silhouette_iou_unseen": 0.3, "f_score": 0.2, "volume_iou": 0.1}})
+    words = ["ceiling", "--families", "cars", "--seconds", "0.5", "--seeds", "0"]
+    assert benchmark.main(words) == 0
+    found = json.loads(results.read_text())["ceiling_cars_0.5s_seed0"]
+    assert found["steps"] >= 1 and found["items"] == 1 and set(found["floors"]) == {"hull", "mean_shape", "nearest"}
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("cars ")]
+    above, mine, floor, share = ([float(cell) for cell in row[-4:-1]] for row in rows)
+    assert above[0] == pytest.approx(found["overall"]["silhouette_iou_unseen"], abs=6e-4) and mine == [0.3, 0.2, 0.1]
+    assert floor[0] == pytest.approx(max(of["silhouette_iou_unseen"] for of in found["floors"].values()), abs=6e-4)
+    assert share[0] == pytest.approx(0.3 / found["overall"]["silhouette_iou_unseen"], abs=6e-3)
+
+
+def test_the_supervised_network_stands_shapes_where_the_truth_stands() -> None:
+    # Truths as poses and back, and what is seen of them: the camera's formula of `Placed`.
+    data = simulate_masks("chairs", 4, seed=0)
+    assert data.truth is not None
+    pose = ceiling.pose_of(data.truth)
+    placed = ceiling.standing_of(pose, 6.0)
+    np.testing.assert_allclose(placed.view.numpy(), data.truth.view, atol=1e-5)
+    np.testing.assert_allclose(placed.scale.numpy(), data.truth.scale, rtol=1e-5)
+    point = np.array([0.2, -0.3, 0.4])
+    camera = data.truth.scale[:, None] * (data.truth.view @ point)
+    flat = (camera[:, :2] + data.truth.offset) / (1 + camera[:, 2:] / (6 * data.truth.scale[:, None]))
+    found = placed.image_of(torch.tensor(point, dtype=torch.float32)[None])[:, 0]
+    np.testing.assert_allclose(found.numpy(), flat, atol=1e-5)
+
+
+def test_modelnet_is_rendered_in_its_split_and_skipped_where_it_is_not(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = trimesh.creation.box((1, 2, 3))
+    for part in ("train", "test"):
+        (tmp_path / f"chair/{part}").mkdir(parents=True)
+        mesh.export(tmp_path / f"chair/{part}/chair_0001.off")
+    found = fits.modelnet_masks("chair", tmp_path, tmp_path / "cache")
+    train, test = (read_masks_npz(found[part]) for part in ("train", "test"))
+    assert (len(train), len(test)) == (4, 1) and train.category is not None and set(train.category) == {"chair"}
+    with pytest.raises(BenchmarkError, match=r"has no sofa/train. Download it"):
+        fits.modelnet_masks("sofa", tmp_path)
+    assert benchmark.main(["modelnet"]) == 0
+    assert "modelnet: skipped, no --folder" in capsys.readouterr().out and not results.exists()
 
 
 def test_failures_are_reported_and_not_stored(

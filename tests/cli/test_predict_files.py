@@ -12,6 +12,7 @@ import pytest
 from flat_runs import across_the_image, flat_run
 from mask_files import blob
 from mask_files import save as save_picture
+from PIL import Image
 from shape_stand_in import StandInModel, stand_in
 
 from uplift.cli import predict_files
@@ -175,3 +176,12 @@ def test_masks_have_an_output_each_too(here: Path, monkeypatch: pytest.MonkeyPat
         save_picture(here / f"masks/m{number}.png", blob(seed=number))
     assert main(["predict", "run=lifter.pt", "input=masks/*.png", "output=out/*.obj", "workers=1"]) == 0
     assert files_in("out") == ["m0.obj", "m1.obj", "predict.json"]
+    Path("photos").mkdir()
+    picture = Image.open(here / "masks/m0.png")
+    Image.new("RGB", picture.size, (10, 20, 200)).save(here / "photos/m0.jpg")
+    one = ["predict", "run=lifter.pt", "input=masks/m0.png", "images=photos"]
+    assert main([*one, "output=blue.obj"]) == main([*one, "output=plain.obj", "texture=false"]) == 0
+    for name, numbers in {"blue": 6, "plain": 3}.items():
+        corners = [line.split()[1:] for line in Path(f"{name}.obj").read_text().splitlines() if line.startswith("v ")]
+        assert corners and {len(corner) for corner in corners} == {numbers}
+    assert main([*one, "output=a.stl", "texture=true"]) == 2

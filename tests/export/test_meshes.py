@@ -91,7 +91,7 @@ def test_front_left_and_up_end_where_the_axes_have_them(tmp_path: Path, suffix: 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply", ".stl"])
 def test_sizes_are_those_of_the_unit(tmp_path: Path, suffix: str) -> None:
-    mesh = surface_of(marked(), smooth=4).mesh
+    mesh = surface_of(marked(), finer=2, smooth=4).mesh
     assert mesh is not None
     own = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     high, longest = own.extents[1], own.extents.max()
@@ -112,7 +112,7 @@ def test_sizes_are_those_of_the_unit(tmp_path: Path, suffix: str) -> None:
 def test_a_mesh_in_the_camera_frame_covers_the_mask_it_came_from(tmp_path: Path) -> None:
     (path,) = write(shapes(), tmp_path / "a.ply", smooth=0)
     solid = _read(path)
-    mesh = surface_of(marked()).mesh
+    mesh = surface_of(marked(), finer=2).mesh
     assert mesh is not None
     seen = (SCALE * mesh.vertices @ view().T + [*OFFSET, 0]) * SCALE_PX
     np.testing.assert_allclose(np.sort(solid.bounds, 0), [seen.min(0), seen.max(0)], atol=0.01)
@@ -163,12 +163,14 @@ def test_text_of_files_says_unit_axes_and_place(tmp_path: Path) -> None:
 
 def test_grids_come_back(tmp_path: Path) -> None:
     sample = shapes(2)
+    sample.uncertainty = np.sqrt(sample.occupancy * (1 - sample.occupancy))
     for name in ("a", "b"):
         write(sample, tmp_path / f"{name}.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     found = np.load(tmp_path / "a.npz", allow_pickle=False)
     np.testing.assert_array_equal(found["occupancy"], sample.occupancy)
     np.testing.assert_array_equal(found["masks"], sample.masks)
+    np.testing.assert_allclose(found["uncertainty"], sample.uncertainty, atol=1e-3)
     np.testing.assert_allclose(found["view"], sample.view, atol=1e-6)
     assert found["names"].tolist() == sample.names and found["scale_px"].tolist() == [150, 150]
 

@@ -207,6 +207,35 @@ def test_it_turns_by_keys_pointer_and_buttons(show: Open) -> None:
     assert page.state()["painted"] == page.state()["painted"]  # at rest nothing is drawn
 
 
+def test_the_photo_and_the_uncertainty_are_painted_on_the_shape(show: Open, tmp_path: Path) -> None:
+    sample = shapes(1)
+    sample.images = np.array(["a.png"])
+    Image.new("RGB", (640, 640), (30, 60, 200)).save(tmp_path / "a.png")
+    sample.uncertainty = np.zeros_like(sample.occupancy)
+    sample.uncertainty[:, :, :16] = 0.5  # the upper half
+    page = show(sample, images=tmp_path)
+
+    def mean() -> list[float]:
+        return page.run(
+            "(() => { const c = document.getElementById('deep'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, s = [0, 0, 0];"
+            "let n = 0; for (let k = 0; k < d.length; k += 4) if (d[k + 3] === 255) { n++; for (const a of [0, 1, 2]) s[a] += d[k + a]; }"
+            "return s.map((v) => v / n); })()"
+        )
+
+    red, green, blue = mean()
+    assert blue > 2 * red and blue > 1.5 * green
+    page.key("u")
+    doubtful = mean()
+    assert doubtful[0] > red + 30  # the upper half is orange, the lower one blue
+    page.key("u")
+    page.key("p")
+    clay = mean()
+    assert clay[0] > clay[2] and page.run("document.querySelector('[data-toggle=doubt]').checkVisibility()")
+    (tmp_path / "page.html").unlink()
+    plain = show(shapes(1))
+    assert not plain.run("document.querySelector('[data-toggle=doubt]').checkVisibility()") and not plain.troubles()
+
+
 def test_the_gallery_opens_at_all_items_sorts_and_opens_one(show: Open) -> None:
     sample = shapes(7)
     sample.occupancy[3] = 0

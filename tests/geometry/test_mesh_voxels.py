@@ -105,6 +105,12 @@ def test_windings_do_not_matter() -> None:
     np.testing.assert_array_equal(fill(Mesh(mesh.vertices, mixed), 32), fill(mesh, 32))
 
 
+def test_triangles_that_are_there_from_both_sides_count_once() -> None:
+    shape = make_shapes("chairs", 1, 0)[0]
+    both = np.random.default_rng(0).permutation(np.concatenate([shape.faces, shape.faces[:, ::-1]]))
+    np.testing.assert_array_equal(fill(Mesh(shape.vertices, both), 32), fill(shape, 32))
+
+
 def test_vertices_split_at_seams_are_joined() -> None:
     mesh = _mesh(_ball())
     loose = Mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))

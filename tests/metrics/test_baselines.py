@@ -144,9 +144,17 @@ def test_the_best_baseline_stands_beside_the_run(chairs):
     train, test = chairs.select(np.arange(4)), chairs.select(np.array([4, 5]))
     result = score_with_baselines(prediction_of(test.truth, test.masks), train, test, "chairs", resolution=SIDE)
     assert list(result.baselines) == ["hull", "mean_shape", "nearest"]
-    for metric in ("volume_iou", "silhouette_iou_unseen"):
+    for metric in ("silhouette_iou_unseen", "f_score", "volume_iou", "volume_iou_aligned"):
         best = max(values[metric] for values in result.baselines.values())
         assert result.overall["best_floor_" + metric] == best < result.overall[metric]
+    nearest = min(values["chamfer"] for values in result.baselines.values())
+    assert result.overall["best_floor_chamfer"] == nearest > result.overall["chamfer"]
+    assert list(result.overall)[:4] == [
+        "silhouette_iou_unseen",
+        "best_floor_silhouette_iou_unseen",
+        "f_score",
+        "best_floor_f_score",
+    ]
     table = result.table()
     assert "mean_shape" in table and "best_floor" not in table
     assert sum(note.startswith("baseline ") for note in result.notes) == 3

@@ -15,6 +15,7 @@ from uplift.data.formats import read_masks
 from uplift.data.load import format_of_run
 from uplift.errors import UserError, did_you_mean
 from uplift.export import write, writer_for
+from uplift.export.meshes import NO_COLOURS
 from uplift.models.likely_size import small_size
 from uplift.models.model import load_shapes
 from uplift.models.prediction import ShapePrediction
@@ -23,15 +24,13 @@ from uplift.video.detect import Detection
 __all__ = ["groups_of", "lift_masks", "mask_arguments", "shape_summary"]
 
 _READING = ("format", "border", "pieces", "category", "most", "images", "side")
-_OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together")
+_OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together", "texture")
 
 
 def mask_arguments(keys: Keys) -> dict[str, Any]:
     """Return the arguments of `predict` that the command line gives for masks."""
     options = keys.given("format", "images", "height_mm", "together", *SHAPE_KEYS)
-    if "together" in options:
-        options["together"] = options["together"] == "true"
-    return options
+    return options | {key: options[key] == "true" for key in ("together", "texture") if key in options}
 
 
 def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
@@ -109,6 +108,8 @@ def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[st
             raise UserError(f"{key}= goes with the formats of meshes (.glb .obj .ply .stl), not with {output}.")
         if key not in _OF_MESHES and ending != ".html":
             raise UserError(f"{key}= is for a page (.html), not for {ending}.")
+    if ending == ".stl" and options.get("texture"):
+        raise UserError(NO_COLOURS)
     if options.get("smooth", 0) < 0:
         raise UserError(f"smooth={options['smooth']}: expected rounds of smoothing, 0 or more.")
     if options.get("items", 1) < 1:

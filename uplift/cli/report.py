@@ -333,8 +333,8 @@ _SHAPES = _Words(
     predict="input=MASKS output=shapes.html",
 )
 _SCORES = {
-    "volume overlap": "volume_iou",
     "overlap in new views": "silhouette_iou_unseen",
+    "surface within 2 %": "f_score",
     "surface distance": "chamfer",
 }
 

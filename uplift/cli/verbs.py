@@ -182,6 +182,8 @@ SHAPE_KEYS = _table(
          "unset: px, or mm with a size", choices=("px", "mm", "crop")),
     _key("length_mm", Optional[float], None, "length of the longest side of each object, millimetres", 1e-9, 1e9),
     _key("smooth", int, 4, "rounds of smoothing of meshes, which keep the volume", 0, 10_000),
+    _key("texture", Optional[str], None, "false: meshes without the photos that the masks name; true: it is an error where there are none; unset: "
+         "with those that are found", choices=("true", "false")),
     _key("items", Optional[int], None, "shapes at most that a page shows", 1, _MOST_ITEMS),
     _key("group", Optional[str], None, "masks that are views of one object and get one shape: all of them, those of a folder, or "
          "those whose name is the same up to its last number (cow_001.png, cow_002.png); unset: each mask is lifted alone",

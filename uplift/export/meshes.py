@@ -16,18 +16,22 @@ from uplift.config.files import as_bytes, names_from, refuse_existing, replacing
 from uplift.config.progress import progress
 from uplift.errors import UserError, did_you_mean
 from uplift.export.clips import MOST_FILES
+from uplift.export.html import Photos
 from uplift.export.scene import FROM_LEVEL
+from uplift.export.texture import photo_of, textured
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.surface import Surface, surface_of
 from uplift.models.prediction import ShapePrediction
 
 if TYPE_CHECKING:
     import trimesh
+    from PIL.Image import Image
+    from trimesh.visual.material import PBRMaterial
 
     from uplift.export import Job, Writer
 
 __all__ = [
-    "SHAPE_AXES", "Frame", "encode_glb", "encode_obj", "encode_ply", "encode_stl", "in_camera", "prediction_surfaces",
+    "NO_COLOURS", "SHAPE_AXES", "Frame", "encode_glb", "encode_obj", "encode_ply", "encode_stl", "in_camera", "prediction_surfaces",
     "shape_jobs", "surfaces", "write_npz",
 ]  # fmt: skip
 
@@ -48,11 +52,14 @@ def shape_jobs(
     length_mm: float | int | None = None,
     smooth: int = 4,
     together: bool | None = None,
+    texture: bool | None = None,
+    images: str | Path | None = None,
     **options: Any,
 ) -> list[Job]:
     """Return the files of shapes, each with what writes it; the options are those of `uplift.export.write`."""
     frame = _frame(writer, path, axes, unit, {"height_mm": height_mm, "length_mm": length_mm})
     if writer.holds == "all":
+        options |= {} if images is None else {"images": images}
 
         def write_all(file: Path) -> str:
             refuse_existing(file)
@@ -66,22 +73,94 @@ def shape_jobs(
     gone = [f"{name} ({one.reason})" for name, one in zip(prediction.names, cut, strict=True) if one.mesh is None]
     more = f" and {len(gone) - 3} more" if len(gone) > 3 else ""
     left_out = f"without a surface: {', '.join(gone[:3])}{more}" if gone else ""
+    ending = Path(path).suffix.lower()
+    photos = _photos(prediction, ending, texture, images)
 
     def job(part: list[int], file: Path) -> str:
-        import trimesh
-
         refuse_existing(file)
-        meshes = [(item, mesh) for item in part if (mesh := cut[item].mesh) is not None]
-        placed = [(frame.placed(mesh, prediction, item), mesh.faces) for item, mesh in meshes]
-        data = writer([trimesh.Trimesh(*solid, process=False) for solid in placed], frame.about(prediction, part))
+        shown, wrong = _on_shapes(prediction, part, photos, texture)
+        solids = [
+            _solid(frame, mesh, prediction, item, photo, ending)
+            for item, photo in zip(part, shown, strict=True)
+            if (mesh := cut[item].mesh) is not None
+        ]
+        data = writer(solids, frame.about(prediction, part))
         with replacing(file) as handle:
             handle.write(data)
         cleaned = [cut[item].summary() for item in part]
         if len(part) > 1:
             cleaned = [f"{number}: {remark}" for number, remark in enumerate(cleaned, 1) if remark]
-        return "; ".join(filter(None, [*cleaned, left_out if part is parts[0] else ""]))
+        return "; ".join(filter(None, [*cleaned, wrong, left_out if part is parts[0] else ""]))
 
     return [(prediction.names[part[0]], partial(job, part)) for part in parts]
+
+
+NO_COLOURS = "a .stl has no colours: write a .glb, .obj or .ply to have the photo on the shape."
+_PHOTO_SIDE = 512  # pixels of a photo's crop, in a texture
+
+
+def _photos(prediction: ShapePrediction, ending: str, texture: bool | None, images: str | Path | None) -> Photos | None:
+    """Return the photos that go on the shapes, None for none.
+
+    Raises UserError where photos are asked for that the format cannot hold, or that nobody names.
+    """
+    if ending == ".stl" and (texture or images is not None):
+        raise UserError(NO_COLOURS)
+    if texture and prediction.images is None:
+        raise UserError(
+            "texture=true needs photos, and the masks name none. See images= of predict in docs/masks-input.md."
+        )
+    return None if texture is False or ending == ".stl" or prediction.images is None else Photos(images)
+
+
+def _on_shapes(
+    prediction: ShapePrediction, items: Sequence[int], photos: Photos | None, texture: bool | None
+) -> tuple[list[Image | None], str]:
+    """Return the photo of each item, None where there is none, and which could not be read."""
+    if photos is None:
+        return [None] * len(items), ""
+    known = len(photos.unreadable)
+    found = [photo_of(prediction, item, photos, _PHOTO_SIDE) for item in items]
+    wrong = photos.unreadable[known:]
+    if texture and None in found:
+        absent = wrong[0] if wrong else str((photos.absent or [""])[-1]) or "that of " + prediction.names[items[0]]
+        raise UserError(f"texture=true needs a photo for each shape, and one was not found or read: {absent}.")
+    return found, f"without photos that could not be read: {', '.join(wrong)}" if wrong else ""
+
+
+def _solid(
+    frame: Frame, mesh: Mesh, prediction: ShapePrediction, item: int, photo: Image | None, ending: str
+) -> trimesh.Trimesh:
+    """Return an item's mesh in the file's frame, with its photo as a texture in a .glb, else as the colours of its corners."""
+    import trimesh
+    from trimesh.visual import ColorVisuals
+    from trimesh.visual.texture import TextureVisuals
+
+    points = frame.placed(mesh, prediction, item)
+    solid = trimesh.Trimesh(points, mesh.faces, process=False)
+    if photo is None:
+        return solid
+    look = textured(mesh, photo, prediction, item)
+    if ending != ".glb":
+        solid.visual = ColorVisuals(solid, vertex_colors=look.colours())
+        return solid
+    normals = solid.vertex_normals[look.corner]  # those of the mesh without seams: none is to be seen
+    split = trimesh.Trimesh(points[look.corner], look.mesh.faces, vertex_normals=normals, process=False)
+    split.visual = TextureVisuals(look.place * [1, -1] + [0, 1], _material(look.jpeg()))
+    return split
+
+
+def _material(picture: Image | None = None) -> PBRMaterial:
+    from trimesh.visual.material import PBRMaterial
+
+    factor = _COLOUR if picture is None else None
+    return PBRMaterial(
+        "shape", baseColorFactor=factor, baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.75
+    )
+
+
+def _kind(solid: trimesh.Trimesh) -> str | None:
+    return None if solid.visual is None else solid.visual.kind
 
 
 def _frame(
@@ -228,8 +307,10 @@ def _standing(prediction: ShapePrediction, item: int) -> dict[str, Any]:
 
 # Surfaces, in the frames of the shapes or where the camera sees them.
 
+_FINER = 2  # twice as fine as the grid: thin parts come out round, and files stay small
 
-def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0) -> list[Mesh | None]:
+
+def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 4) -> list[Mesh | None]:
     """Return the mesh of each item, None where its grid is empty.
 
     ``own`` is the shape's frame, the cube from -1 to 1; ``camera`` is the camera's, in units of the crop.
@@ -247,10 +328,12 @@ def surfaces(prediction: ShapePrediction, *, frame: str = "own", smooth: int = 0
     return found
 
 
-def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 0) -> list[Surface]:
-    """Return the surface of each item's grid, in the shape's frame, named as the item."""
+def prediction_surfaces(prediction: ShapePrediction, *, smooth: int = 4, finer: int = _FINER) -> list[Surface]:
+    """Return the surface of each item's grid, in the shape's frame, named as the item; see `surface_of`."""
     return [
-        surface_of(np.asarray(grid, np.float32), level=prediction.level, smooth=smooth, name=name)
+        surface_of(
+            np.asarray(grid, np.float32), level=prediction.level, finer=finer, joined=True, smooth=smooth, name=name
+        )
         for grid, name in progress(
             zip(prediction.occupancy, prediction.names, strict=True), "surfaces", len(prediction)
         )
@@ -272,8 +355,8 @@ def in_camera(
 _ARRAYS = {
     "occupancy": np.float16, "view": np.float32, "scale": np.float32, "offset": np.float32, "distance": np.float32,
     "names": np.str_, "centre_px": np.float32, "scale_px": np.float32, "masks": np.uint8, "level": np.float32,
-    "images": np.str_, "azimuth_deg": np.float32, "elevation_deg": np.float32, "roll_deg": np.float32,
-    "probability": np.float32, "second_view": np.float32, "second_probability": np.float32,
+    "images": np.str_, "uncertainty": np.float16, "azimuth_deg": np.float32, "elevation_deg": np.float32,
+    "roll_deg": np.float32, "probability": np.float32, "second_view": np.float32, "second_probability": np.float32,
 }  # fmt: skip
 
 
@@ -306,10 +389,9 @@ def encode_glb(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     """
     import trimesh
     from trimesh.exchange.gltf import export_glb
-    from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    look = PBRMaterial("shape", baseColorFactor=_COLOUR, metallicFactor=0.0, roughnessFactor=0.75)
+    plain = _material()
     if about["unit"] == "mm":
         about = about | {"unit": "m", "unit_is": str(about["unit_is"]).replace("millimetres", "metres")}
         for solid in solids:
@@ -318,7 +400,8 @@ def encode_glb(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
     step = _APART * max(float(np.ptp(solid.vertices[:, 0])) for solid in solids)
     scene = trimesh.Scene(base_frame="world")
     for number, (item, solid) in enumerate(zip(about["items"], solids, strict=True)):
-        solid.visual = TextureVisuals(material=look)
+        if _kind(solid) != "texture":
+            solid.visual = TextureVisuals(material=plain)
         aside = np.eye(4)
         aside[0, 3] = (number - (len(solids) - 1) / 2) * step
         name = f"{number + 1} {item['name']}" if several else item["name"]
@@ -337,7 +420,12 @@ def encode_obj(solids: Sequence[trimesh.Trimesh], about: dict[str, Any]) -> byte
 
     header = "\n# ".join(_lines(about))
     text = export_obj(
-        solids[0], include_normals=True, include_color=False, include_texture=False, digits=6, header=header
+        solids[0],
+        include_normals=True,
+        include_color=_kind(solids[0]) == "vertex",
+        include_texture=False,
+        digits=6,
+        header=header,
     )
     return as_bytes(f"{text}\n")
 

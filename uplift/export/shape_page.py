@@ -5,18 +5,26 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
 
 from uplift.data.masks import Placed
 from uplift.errors import UserError
-from uplift.export.html import Curve, Photos, Section, jpeg_address, pack, scripted_page, write_text
+from uplift.export.html import Curve, Section, jpeg_address, pack, scripted_page, write_text
 from uplift.export.meshes import prediction_surfaces
+from uplift.export.texture import photos_of, textured
 from uplift.geometry.mesh import Mesh
-from uplift.geometry.surface import Surface, thinned
+from uplift.geometry.simplify import thinned
+from uplift.geometry.surface import Surface
 from uplift.models.prediction import ShapePrediction
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 __all__ = ["shape_page_text", "write_shape_gallery", "write_shape_page"]
 
@@ -44,7 +52,7 @@ def shape_page_text(
     scores: _Scores | None = None,
     images: str | Path | None = None,
     sheet: bool = False,
-    smooth: int = 2,
+    smooth: int = 4,
     sections: Sequence[Section] = (),
     curves: Mapping[str, Curve] | None = None,
     notes: Sequence[str] = (),
@@ -68,10 +76,9 @@ def shape_page_text(
         raise UserError(f"items={items}: a page shows at least one shape.")
     rows = np.arange(min(items, total)) * total // min(items, total)
     shown, true = prediction.select(rows), None if truth is None else truth.select(rows)
-    data, cut = _shape_data(shown, true, {name: np.asarray(of, float)[rows] for name, of in scores.items()}, smooth)
-    photos, wrong = _photos_of(shown, images)
-    for entry, photo in zip(data["items"], photos, strict=True):
-        entry |= {"photo": photo} if photo else {}
+    photos, wrong = photos_of(shown, images, _SIDE_PX)
+    of_rows = {name: np.asarray(of, float)[rows] for name, of in scores.items()}
+    data, cut = _shape_data(shown, true, of_rows, smooth, photos)
     data["sheet"] = sheet and len(rows) > 1
     facts = [f"{total:,} shape{'s' * (total > 1)}", f"{side} × {side} × {side} voxels"]
     return scripted_page(
@@ -98,39 +105,49 @@ def _remarks(cut: Sequence[Surface], count: int) -> list[str]:
 
 # What a page of shapes embeds: small meshes, masks, and the place of each item.
 
-_ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 5000, 600
+_ALL_FACES, _MOST_FACES, _LEAST_FACES = 600_000, 12_000, 600
+_FINE_FACES = 4000  # with fewer triangles a finer grid would show nothing more
 _FINEST = 2 / 2048
 _MASK_SIDE, _MASK_STEPS = 64, 15
 
 
 def _shape_data(
-    prediction: ShapePrediction, truth: Placed | None, scores: _Scores, smooth: int
+    prediction: ShapePrediction,
+    truth: Placed | None,
+    scores: _Scores,
+    smooth: int,
+    photos: Sequence[Image | None],
 ) -> tuple[dict[str, Any], list[Surface]]:
     """Return the data of a page for these items, and what was cut out of their grids."""
-    cut = prediction_surfaces(prediction, smooth=smooth)
-    faces = int(np.clip(_ALL_FACES // (len(cut) * (1 if truth is None else 2)), _LEAST_FACES, _MOST_FACES))
-    meshes = [thinned(one.mesh, faces) for one in cut if one.mesh is not None]
-    places = iter(range(len(meshes)))
-    items = [
-        {
+    count = len(prediction) * (1 if truth is None else 2)
+    faces = int(np.clip(_ALL_FACES // count, _LEAST_FACES, _MOST_FACES))
+    cut = prediction_surfaces(prediction, smooth=smooth, finer=2 if faces >= _FINE_FACES else 1)
+    drawn: list[_Drawn] = []
+    items: list[dict[str, Any]] = []
+    for item, (name, title, one) in enumerate(zip(prediction.names, _titles(prediction.names), cut, strict=True)):
+        items.append({
             "name": title,
             "id": name,
-            "mesh": -1 if one.mesh is None else next(places),
+            "mesh": -1 if one.mesh is None else len(drawn),
             "about": one.summary(),
             "scores": [_number(scores[kind][item]) for kind in scores],
             **_standing(prediction, item),
-        }
-        for item, (name, title, one) in enumerate(zip(prediction.names, _titles(prediction.names), cut, strict=True))
-    ]
+        })  # fmt: skip
+        photo = photos[item]
+        items[-1] |= {} if photo is None else {"photo": jpeg_address(photo)}
+        if one.mesh is not None:
+            shown = _drawn(thinned(one.mesh, faces), prediction, item, photo)
+            items[-1] |= {} if shown.texture is None else {"texture": jpeg_address(shown.texture)}
+            drawn.append(shown)
     if truth is not None:
         shown = np.unique(truth.shape).tolist()
-        where = {shape: len(meshes) + place for place, shape in enumerate(shown)}
-        meshes += [thinned(truth.meshes[shape], faces) for shape in shown]
+        where = {shape: len(drawn) + place for place, shape in enumerate(shown)}
+        drawn += [_drawn(thinned(truth.meshes[shape], faces)) for shape in shown]
         for item, shape in enumerate(truth.shape):
             items[item]["truth"] = {"mesh": where[int(shape)], **_standing(truth, item)}
-    packed, layout = pack(_arrays(meshes, prediction.masks))
+    packed, layout = pack(_arrays(drawn, prediction))
     data = {
-        "meshes": [[len(mesh.vertices), len(mesh.faces)] for mesh in meshes],
+        "meshes": [[len(one.mesh.vertices), len(one.mesh.faces)] for one in drawn],
         "items": items,
         "scoreNames": list(scores),
         "side": min(_MASK_SIDE, prediction.masks.shape[1]),
@@ -171,64 +188,99 @@ def _number(value: float | np.floating) -> float | None:
     return round(float(value), 5) if np.isfinite(value) else None
 
 
-def _arrays(meshes: Sequence[Mesh], masks: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
-    """Return corners, triangles and masks as `pack` takes them, in an order in which neighbours are alike."""
-    ordered = [_ordered(mesh) for mesh in meshes]
-    # A last row of zeros: there may be no mesh at all.
-    corners = np.concatenate([*(mesh.vertices for mesh in ordered), np.zeros((1, 3))])
-    faces = np.concatenate([*(mesh.faces for mesh in ordered), np.zeros((1, 3), np.int64)])
-    small = masks.astype(np.float32) / 255
-    if small.shape[1] > _MASK_SIDE:
-        from skimage.transform import resize
+@dataclass(frozen=True)
+class _Drawn:
+    """A mesh of the page and what its corners look like, in an order in which neighbours are alike."""
 
-        side = _MASK_SIDE
-        small = np.asarray(resize(small, (len(masks), side, side), order=1, anti_aliasing=True), np.float32)
-    steps = np.rint(small * _MASK_STEPS) / _MASK_STEPS
-    return {
-        "vertices": (corners, _FINEST),
-        "faces": (faces, 1.0),
-        "masks": (steps.reshape(-1, small.shape[2]), 1 / _MASK_STEPS),
-    }
+    mesh: Mesh
+    sky: Float[np.ndarray, " vertices"]
+    """How much of the sky a corner sees, 0 to 1."""
+    place: Float[np.ndarray, "vertices 2"] | None = None
+    """In the texture."""
+    texture: Image | None = None
+    doubt: Float[np.ndarray, " vertices"] | None = None
+    """The uncertainty of the occupancy."""
 
 
-def _ordered(mesh: Mesh) -> Mesh:
-    """Return the mesh with its corners from top to bottom and its triangles by their first corner."""
+def _drawn(mesh: Mesh, prediction: ShapePrediction | None = None, item: int = 0, photo: Image | None = None) -> _Drawn:
+    sky, place, texture, doubt = _sky(mesh), None, None, None
+    if prediction is not None and photo is not None:
+        look = textured(mesh, photo, prediction, item)
+        mesh, sky, place, texture = look.mesh, sky[look.corner], look.place, look.jpeg()
+    if prediction is not None and prediction.uncertainty is not None:
+        doubt = _at(np.asarray(prediction.uncertainty[item], np.float64), mesh.vertices)
     order = np.lexsort(np.rint(mesh.vertices / (8 * _FINEST)).T[[2, 0, 1]])
     faces = np.argsort(order)[mesh.faces]
     start = faces.argmin(1)
     faces = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, 1)
-    faces = faces[np.lexsort(faces.T[::-1])]
-    return Mesh(mesh.vertices[order], faces, mesh.name, mesh.category)
+    ordered = replace(mesh, vertices=mesh.vertices[order], faces=faces[np.lexsort(faces.T[::-1])])
+    return _Drawn(
+        ordered, sky[order], None if place is None else place[order], texture, None if doubt is None else doubt[order]
+    )
+
+
+def _at(grid: Float[np.ndarray, "depth height width"], points: Float[np.ndarray, "points 3"]) -> np.ndarray:
+    """Return the values of a grid over the cube of -1 to 1 at points, between its voxels linearly."""
+    index = (points[:, ::-1].T + 1) * (len(grid) / 2) - 0.5
+    return np.asarray(ndimage.map_coordinates(grid, index, order=1, mode="nearest"))
+
+
+_SKY_SIDE, _SKY_POINTS = 40, 20_000
+_SKY_SCALES = ((1.5, 0.55), (4.0, 0.75))
+"""Widths in cells, and how dark what is all shut in at that width becomes."""
+
+
+def _sky(mesh: Mesh) -> Float[np.ndarray, " vertices"]:
+    """Return how open the surface is around each corner, 1 where it is flat or bulges: soft light from all sides.
+
+    The density of surface a little above each corner, in cells of which the shape's longest side has `_SKY_SIDE`, less
+    what a plane has there.
+    """
+    low, size = mesh.vertices.min(0), max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-9)
+    points = (mesh.vertices - low) * (_SKY_SIDE / size) + 8
+    a, b, c = (points[mesh.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1) / 2
+    rng = np.random.default_rng(0)
+    face = np.searchsorted(np.cumsum(area), rng.random(_SKY_POINTS) * area.sum()).clip(max=len(area) - 1)
+    u, v = np.sort(rng.random((2, _SKY_POINTS, 1)), axis=0)
+    dots = u * a[face] + (v - u) * b[face] + (1 - v) * c[face]
+    cells = np.zeros((_SKY_SIDE + 16,) * 3)
+    np.add.at(cells, tuple(dots.astype(int).T), area.sum() / _SKY_POINTS)
+    normal = np.zeros_like(points)
+    for k in range(3):
+        np.add.at(normal, mesh.faces[:, k], cross)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    found = np.ones(len(points))
+    for width, dark in _SKY_SCALES:
+        above = (points + 2 * width * normal - 0.5).T
+        density = ndimage.map_coordinates(ndimage.gaussian_filter(cells, width), above, order=1) * width * 2.5066
+        found *= 1 - dark * np.clip(density - np.exp(-2), 0, 1)
+    return found
+
+
+def _arrays(drawn: Sequence[_Drawn], prediction: ShapePrediction) -> dict[str, tuple[np.ndarray, float]]:
+    """Return corners, triangles, looks and masks as `pack` takes them."""
+    # A last row of zeros: there may be no mesh at all.
+    small, none = prediction.masks.astype(np.float32) / 255, np.zeros((1, 3))
+    if small.shape[1] > _MASK_SIDE:
+        from skimage.transform import resize
+
+        small = np.asarray(resize(small, (len(small), _MASK_SIDE, _MASK_SIDE), order=1, anti_aliasing=True), np.float32)
+    steps = np.rint(small * _MASK_STEPS) / _MASK_STEPS
+    arrays = {
+        "vertices": (np.concatenate([*(one.mesh.vertices for one in drawn), none]), _FINEST),
+        "faces": (np.concatenate([*(one.mesh.faces for one in drawn), none.astype(int)]), 1.0),
+        "sky": (np.concatenate([*(one.sky for one in drawn), none[0, :1]]), 1 / 64),
+        "masks": (steps.reshape(-1, small.shape[2]), 1 / _MASK_STEPS),
+    }
+    if any(one.place is not None for one in drawn):
+        places = [np.zeros((len(one.sky), 2)) if one.place is None else one.place for one in drawn]
+        arrays["place"] = (np.concatenate([*places, none[:, :2]]), 1 / 2048)
+    if prediction.uncertainty is not None:
+        doubts = [np.zeros(len(one.sky)) if one.doubt is None else one.doubt for one in drawn]
+        arrays["doubt"] = (np.concatenate([*doubts, none[0, :1]]), 1 / 256)
+    return arrays
 
 
 _SIDE_PX = 224  # of an item's photo
-
-
-def _photos_of(prediction: ShapePrediction, folder: str | Path | None) -> tuple[list[str], list[str]]:
-    """Return each item's crop of its photo as a data address, empty where there is none, and what went wrong.
-
-    Photos are looked for in ``folder``, by their name or its last part, and without a folder where
-    `ShapePrediction.images` says. Raises UserError where there is no such folder.
-    """
-    photos = Photos(folder)
-    if prediction.images is None:
-        return [""] * len(prediction), []
-    names = [str(image) for image in prediction.images]
-    crops = zip(names, prediction.centre_px, prediction.scale_px, strict=True)
-    found = [_crop(photos, name, centre, float(half)) for name, centre, half in crops]
-    wrong = photos.unreadable
-    return found, [f"{len(wrong)} photos could not be read, such as {wrong[0]}."] if wrong else []
-
-
-def _crop(photos: Photos, name: str, centre: np.ndarray, half: float) -> str:
-    """Return the square about ``centre``, 2 ``half`` pixels wide, grey where the photo ends; empty without a photo."""
-    from PIL import Image
-
-    low, scale = centre - half, _SIDE_PX / (2 * half)
-    found = photos.cut(name, float(low[0]), float(low[1]), 2 * half, scale)
-    if found is None:
-        return ""
-    picture, corners = found
-    square = Image.new("RGB", (_SIDE_PX, _SIDE_PX), (128, 128, 128))
-    square.paste(picture, (round((corners[0, 0] - low[0]) * scale), round((corners[0, 1] - low[1]) * scale)))
-    return jpeg_address(square)

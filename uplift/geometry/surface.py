@@ -1,8 +1,8 @@
-"""Surfaces of occupancy grids: marching cubes, cleaned and closed, and thinned to be looked at."""
+"""Surfaces of occupancy grids: marching cubes on a finer field, cleaned and closed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from uplift.geometry.mesh import Mesh
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Surface", "surface_of", "thinned"]
+__all__ = ["Surface", "surface_of", "written_surface"]
 
 _FROM_LEVEL = 1e-4
 """Corners of voxels keep so far from the level: a surface through a corner would have triangles without area."""
@@ -56,6 +56,8 @@ def surface_of(
     occupancy: Float[np.ndarray, "depth height width"],
     *,
     level: int | float = 0.5,
+    finer: int = 1,
+    joined: bool = False,
     least_share: int | float = 0.02,
     cavity_share: int | float = 0.05,
     smooth: int = 0,
@@ -64,18 +66,22 @@ def surface_of(
 ) -> Surface:
     """Return the surface where the occupancy, [z, y, x] at the centres of voxels, crosses ``level``.
 
-    What lies outside of the grid is empty, so the surface is closed at its border. Parts below ``least_share``
-    of the largest part's volume and hollows below ``cavity_share`` of it go. ``smooth`` rounds of Taubin's
-    smoothing keep the volume. Raises ValueError for values that are not finite or a grid that is not a cube,
-    UserError for a level that is not between 0 and 1.
+    What lies outside of the grid is empty, so the surface is closed at its border. ``finer`` times as many voxels a
+    side are cut, between the given ones by cubic splines of the occupancy's log odds. ``joined`` first raises ridges
+    below the level where they join parts (`_joined`). Parts below ``least_share`` of the largest part's volume and
+    hollows below ``cavity_share`` of it go. ``smooth`` rounds of Taubin's smoothing keep the volume.
+
+    Raises ValueError for values that are not finite, a grid that is not a cube or ``finer`` below 1, UserError for a
+    level that is not between 0 and 1.
     """
     if not 0 < level < 1:
         raise UserError(f"level={level}: the surface lies at an occupancy between 0 and 1.")
-    if len(set(occupancy.shape)) != 1 or not np.isfinite(occupancy).all():
-        raise ValueError(f"occupancy {occupancy.shape}: expected a cube of finite values")
+    if len(set(occupancy.shape)) != 1 or not np.isfinite(occupancy).all() or finer < 1:
+        raise ValueError(f"occupancy {occupancy.shape}, {finer} times finer: expected a cube of finite values")
     if occupancy.max() <= level:
         return Surface(None, f"empty: the largest occupancy is {occupancy.max():.2g}, the surface lies at {level:g}")
-    surface = _cut(occupancy, level)
+    grid = np.asarray(occupancy, np.float64)
+    surface = _cut(_joined(grid, level) if joined else grid, level, finer)
     kept, specks, cavities = _cleaned(surface, least_share, cavity_share)
     if smooth:
         _smoothed(kept, smooth)
@@ -83,21 +89,99 @@ def surface_of(
     return Surface(mesh, "", bool(kept.is_watertight), int(kept.body_count), specks, cavities)
 
 
-def _cut(occupancy: np.ndarray, level: int | float) -> trimesh.Trimesh:
+_FINER, _SMOOTH = 2, 4
+
+
+def written_surface(
+    occupancy: Float[np.ndarray, "depth height width"],
+    level: int | float,
+    *,
+    smooth: int = _SMOOTH,
+    finer: int = _FINER,
+    name: str = "",
+) -> Surface:
+    """Return the surface of a lifted shape as files and pages have it, and as it is scored: `surface_of`, fine and joined."""
+    return surface_of(
+        np.asarray(occupancy, np.float32), level=level, finer=finer, joined=True, smooth=smooth, name=name
+    )
+
+
+def _cut(occupancy: np.ndarray, level: int | float, finer: int) -> trimesh.Trimesh:
     """Return the surface in the cube from -1 to 1, corners once, faces anticlockwise from outside."""
     import trimesh
     from skimage.measure import marching_cubes
 
-    grid = np.pad(np.asarray(occupancy, np.float64), 1)
+    grid, level = (np.pad(occupancy, 1), level) if finer == 1 else _refined(occupancy, level, finer)
     inside = grid > level
     grid = np.where(inside, np.maximum(grid, level + _FROM_LEVEL), np.minimum(grid, level - _FROM_LEVEL))
     corners, faces, _, _ = marching_cubes(grid.astype(np.float32), level)
-    # Voxel 0 of the grid is number 1 of the padded one, its centre at 1 / R - 1.
-    points = (2 * (corners[:, ::-1].astype(np.float64) - 1) + 1) / len(occupancy) - 1
+    # Voxel 0 of the grid is number `finer` of the padded one, its centre at 1 / R - 1.
+    points = (2 * (corners[:, ::-1].astype(np.float64) / finer - 1) + 1) / len(occupancy) - 1
     surface = trimesh.Trimesh(points, faces, process=False)
     if surface.volume < 0:
         surface.invert()
     return surface
+
+
+_SURE = 0.02
+"""Occupancy is never taken to be surer than this, or 1 less this: log odds are finite."""
+
+
+def _refined(occupancy: np.ndarray, level: int | float, finer: int) -> tuple[np.ndarray, float]:
+    """Return log odds of the occupancy, padded by an empty voxel, at its voxels and ``finer`` - 1 places between; and the level's."""
+    from scipy import ndimage
+
+    sure = min(_SURE, level / 4, (1 - level) / 4)
+    padded = np.clip(np.pad(occupancy, 1), sure, 1 - sure)
+    odds, middle = np.log(padded / (1 - padded)), float(np.log(level / (1 - level)))
+    side = (len(odds) - 1) * finer + 1
+    found = np.asarray(ndimage.zoom(odds, side / len(odds), order=3, mode="nearest"))
+    found[::finer, ::finer, ::finer] = odds  # as given, not nearly: what is just above the level stays so
+    # Splines swing: the border must stay empty for the surface to close.
+    found[[0, -1]] = found[:, [0, -1]] = found[:, :, [0, -1]] = odds[0, 0, 0]
+    return found, middle
+
+
+# Thin parts whose occupancy falls below the level here and there are joined again.
+
+_RIDGE = 0.15
+"""Of the level: where the occupancy is lower there is no ridge."""
+_SPECK = 3
+"""Voxels: smaller parts are noise."""
+_RAISED = 1.1
+"""Of the level: what a ridge is raised to."""
+
+
+def _joined(occupancy: np.ndarray, level: int | float) -> np.ndarray:
+    """Return the occupancy with the likeliest way from each part to the largest one raised above the level.
+
+    The way has the greatest product of occupancies (of those below the level), and none below `_RIDGE` of the level;
+    a part without such a way stays as it is. A grid that is its own mirror image (x to -x) stays so.
+    """
+    from scipy import ndimage
+    from skimage.graph import MCP_Geometric
+
+    parts = np.zeros(occupancy.shape, np.int32)
+    if ndimage.label(occupancy > level, np.ones((3, 3, 3)), output=parts) == 1:
+        return occupancy
+    size = np.bincount(parts.ravel())[1:]
+    largest = 1 + int(size.argmax())
+    share = occupancy / level
+    cost = np.where(share < _RIDGE, -1.0, 0.02 - np.log(np.clip(share, _RIDGE, 1)))  # below 0: no way through
+    ways = MCP_Geometric(cost)
+    far, _ = ways.find_costs(np.argwhere(parts == largest))
+    raised = occupancy.copy()
+    for part in np.flatnonzero(size >= _SPECK) + 1:
+        ends = np.argwhere(parts == part)
+        away = far[tuple(ends.T)]
+        if part != largest and np.isfinite(away.min()):
+            way = tuple(np.transpose(ways.traceback(ends[away.argmin()])))
+            raised[way] = np.maximum(raised[way], min(_RAISED * level, (1 + level) / 2))
+    return np.maximum(raised, raised[:, :, ::-1]) if _is_mirror(occupancy) else raised
+
+
+def _is_mirror(occupancy: np.ndarray) -> bool:
+    return bool(np.abs(occupancy - occupancy[:, :, ::-1]).max() < 1e-3)
 
 
 def _cleaned(
@@ -130,64 +214,3 @@ def _smoothed(mesh: trimesh.Trimesh, rounds: int) -> None:
     filter_taubin(mesh, lamb=_SHRINK, nu=_SWELL, iterations=2 * rounds)
     if mesh.volume > 0 and before > 0:
         mesh.vertices = middle + (mesh.vertices - middle) * (before / mesh.volume) ** (1 / 3)
-
-
-# Meshes with fewer triangles, to look at: corners that share a cell become one.
-
-_TRUST = 1e-3
-"""Singular values below this share of the largest are ignored: the corner stays near its cell's mean."""
-
-
-def thinned(mesh: Mesh, faces: int) -> Mesh:
-    """Return a mesh of at most ``faces`` triangles; the same mesh where it has no more.
-
-    Each cell's corner lies where the planes of its triangles come nearest to meeting (Lindstrom 2000,
-    section 3), so that edges stay sharp. The surface may not be closed any more.
-    """
-    if len(mesh.faces) <= faces:
-        return mesh
-    low = mesh.vertices.min(0)
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-    # A cell that the surface crosses gives one corner, and two triangles come with a corner.
-    cell = max(np.sqrt(2 * area / faces), 1e-12)
-    while True:
-        cells, kept = _merged(mesh, low, cell)
-        if len(kept) <= faces:
-            break
-        cell *= max(1.05, np.sqrt(len(kept) / faces))
-    used, numbers = np.unique(kept, return_inverse=True)  # corners that no triangle has are left out
-    return replace(mesh, vertices=_corners(mesh, cells)[used], faces=numbers.reshape(-1, 3))
-
-
-def _merged(mesh: Mesh, low: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of each corner's cell, and the triangles over cells that keep an area, each once."""
-    grid = np.floor((mesh.vertices - low) / cell).astype(np.int64)
-    _, cells = np.unique(grid, axis=0, return_inverse=True)
-    faces = cells.reshape(-1)[mesh.faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    # The same triangle from its least corner on; the orientation stays.
-    start = faces.argmin(1)
-    faces = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, 1)
-    return cells.reshape(-1), np.unique(faces, axis=0)
-
-
-def _corners(mesh: Mesh, cells: np.ndarray) -> np.ndarray:
-    """Return where each cell's corner is: from the mean of its corners to the least squared distance from its planes."""
-    count = cells.max() + 1
-    number = np.bincount(cells, minlength=count)
-    mean = np.stack([np.bincount(cells, mesh.vertices[:, a], count) for a in range(3)], 1) / number[:, None]
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)  # its length weighs the planes by area
-    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    for corner in range(3):
-        cell = cells[mesh.faces[:, corner]]
-        gap = (normal * (a - mean[cell])).sum(1)
-        np.add.at(matrix, cell, normal[:, :, None] * normal[:, None, :])
-        np.add.at(right, cell, normal * gap[:, None])
-    step = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=_TRUST, hermitian=True), right)
-    # Planes that are nearly parallel meet far away: the corner stays within its cell.
-    reach = np.zeros(count)
-    np.maximum.at(reach, cells, np.linalg.norm(mesh.vertices - mean[cells], axis=1))
-    length = np.linalg.norm(step, axis=1)
-    return mean + step * np.minimum(1, reach / np.maximum(length, 1e-12))[:, None]

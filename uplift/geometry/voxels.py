@@ -50,7 +50,9 @@ def _closed_parts(
 
     Parts are found by shared vertices. What is not closed so is looked at again with vertices in the
     same place made one (files split them at seams); holes left then are capped by a fan about their middle.
+    Triangles that are there twice, from both sides as many CAD files have them, count once: the two would cancel out.
     """
+    faces = _once(faces)
     part, edges = _parts_of(faces, len(vertices))
     consistent = _all_of(edges.balance == 0, edges.part, part)
     closed = consistent | _all_of(edges.count % 2 == 0, edges.part, part)
@@ -66,6 +68,12 @@ def _closed_parts(
         np.concatenate([consistent[closed], capped.consistent]),
     )
     return both, loose
+
+
+def _once(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "some 3"]:
+    """Return the first of the faces that have the same corners."""
+    _, first = np.unique(np.sort(faces, 1), axis=0, return_index=True)
+    return faces if len(first) == len(faces) else faces[np.sort(first)]
 
 
 def _parts_of(faces: np.ndarray, vertices: int) -> tuple[np.ndarray, _Edges]:

@@ -15,7 +15,7 @@ from uplift.data.masks import MaskData, Placed
 from uplift.errors import UserError
 from uplift.metrics.evaluate_shapes import RESOLUTION as TRUE_RESOLUTION
 from uplift.metrics.evaluate_shapes import evaluate_all, filled_truths
-from uplift.metrics.protocols import BEST_BASELINE, metric_order
+from uplift.metrics.protocols import BEST_BASELINE, metric_better, metric_order
 from uplift.metrics.report import ShapeEvaluation
 from uplift.metrics.shape_metrics import true, voxel_centres
 from uplift.models.prediction import ShapePrediction
@@ -29,7 +29,7 @@ RESOLUTION = 48
 """Voxels along the grids of baselines of shapes, an even number."""
 _SAMPLE = 500
 """Training items that thickness and mean shape are taken from."""
-_BEST_OF = ("volume_iou", "silhouette_iou_unseen")
+_BEST_OF = ("silhouette_iou_unseen", "f_score", "chamfer", "volume_iou", "volume_iou_aligned")
 
 
 def flat_depth(keypoints: Float[np.ndarray, "frames joints 2"], root: int) -> Float[np.ndarray, "frames joints 3"]:
@@ -84,7 +84,8 @@ def score_with_baselines(
     beside = {title: result.overall for title, result in scored.items()}
     overall = dict(own.overall)
     for metric in _BEST_OF:
-        overall[BEST_BASELINE + metric] = max(values[metric] for values in beside.values())
+        best = max if metric_better(metric) == "higher" else min
+        overall[BEST_BASELINE + metric] = best(values[metric] for values in beside.values())
     notes = [f"baseline {title}: {note}" for title, baseline in found.items() for note in baseline.notes]
     return replace(
         own,

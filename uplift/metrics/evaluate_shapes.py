@@ -15,11 +15,17 @@ from uplift.metrics.report import ShapeEvaluation
 from uplift.metrics.shape_metrics import (
     OWN_MIRROR,
     TrueItem,
-    azimuth_errors_deg,
-    elevation_errors_deg,
     predicted,
     score_item,
     seen_overlap,
+)
+from uplift.metrics.view_errors import (
+    WITHIN_DEG,
+    azimuth_errors_deg,
+    elevation_errors_deg,
+    is_upright,
+    rotation_errors_deg,
+    view_errors_deg,
 )
 from uplift.models.prediction import ShapePrediction
 
@@ -118,10 +124,7 @@ def _gathered(
     found: list[dict[str, float]], prediction: ShapePrediction, truth: Placed, name: str, groups: np.ndarray
 ) -> ShapeEvaluation:
     per_item = {metric: np.array([values[metric] for values in found]) for metric in found[0]}
-    for metric, errors in (("azimuth_deg", azimuth_errors_deg), ("elevation_deg", elevation_errors_deg)):
-        values = errors(np.asarray(prediction.view, np.float64), np.asarray(truth.view, np.float64))
-        if values is not None:
-            per_item[metric] = values
+    per_item |= _view_scores(np.asarray(prediction.view, np.float64), np.asarray(truth.view, np.float64))
     shown = [group for group in np.unique(groups).tolist() if group]
     return ShapeEvaluation(
         data=name,
@@ -133,6 +136,17 @@ def _gathered(
         category_items={group: int((groups == group).sum()) for group in shown},
         notes=_notes(per_item, prediction),
     )
+
+
+def _view_scores(views: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the metrics of the views (items 3 3), each (items,); none of shapes that are given in the camera's frame."""
+    errors = view_errors_deg(views, truth)
+    if errors is None:
+        return {}
+    upright = {"azimuth_deg": azimuth_errors_deg, "elevation_deg": elevation_errors_deg}
+    used = upright if is_upright(truth) else {"rotation_deg": rotation_errors_deg}
+    found = {"views_within_20": (errors <= WITHIN_DEG).astype(np.float64)}
+    return found | {metric: of(views, truth) for metric, of in used.items()}
 
 
 def _means(per_item: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, float]:

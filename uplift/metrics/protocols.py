@@ -49,16 +49,19 @@ PROTOCOLS = {
 }
 """Of poses, in the order they are listed."""
 SHAPE_METRICS = {
-    "volume_iou": Metric("share", "higher", "occupied volume shared with the truth, of the volume that either has"),
-    "silhouette_iou_seen": Metric("share", "higher", "silhouette in the input view against the input mask"),
     "silhouette_iou_unseen": Metric("share", "higher", "silhouettes in 8 new views about gravity against the truth's"),
-    "chamfer": Metric("length", "lower", "mean distance between the surfaces, both ways"),
     "f_score": Metric("share", "higher", "surface points within 2 % of the longest side, both ways (F@2%)"),
+    "chamfer": Metric("length", "lower", "mean distance between the surfaces, both ways"),
+    "volume_iou": Metric("share", "higher", "occupied volume shared with the truth, of the volume that either has"),
+    "volume_iou_aligned": Metric("share", "higher", "volume_iou after the best small turn, scale and shift"),
+    "silhouette_iou_seen": Metric("share", "higher", "silhouette in the input view against the input mask"),
     "normal_consistency": Metric("share", "higher", "absolute cosine of the normals of nearest surface points"),
     "handedness": Metric(
         "share", "higher", "shapes nearer to the truth than to its mirror image in depth; chance is 0.5"
     ),
-    "azimuth_deg": Metric("deg", "lower", "median error of the view about gravity, after the best constant turn"),
+    "views_within_20": Metric("share", "higher", "views within 20 degrees, after the common turn that makes most so"),
+    "azimuth_deg": Metric("deg", "lower", "median error of the view about gravity, after this turn"),
+    "rotation_deg": Metric("deg", "lower", "median error of the view without gravity, after this turn"),
     "elevation_deg": _ELEVATION,
 }
 """Of lifted shapes, in the order they are listed."""
@@ -106,14 +109,17 @@ _LABELS = {
     "bone_cv": "variation of bone lengths",
     "symmetry": "difference of left and right bones",
     "coverage": "joints predicted",
-    "volume_iou": "overlap of the volumes (IoU)",
-    "silhouette_iou_seen": "overlap of silhouettes, seen view (IoU)",
     "silhouette_iou_unseen": "overlap of silhouettes, new views (IoU)",
-    "chamfer": "distance of the surfaces (chamfer)",
     "f_score": "surface within 2 % (F-score)",
+    "chamfer": "distance of the surfaces (chamfer)",
+    "volume_iou": "overlap of the volumes (IoU)",
+    "volume_iou_aligned": "overlap of the volumes, aligned (IoU)",
+    "silhouette_iou_seen": "overlap of silhouettes, seen view (IoU)",
     "normal_consistency": "agreement of surface directions",
     "handedness": "right way round in depth",
+    "views_within_20": "views found, within 20 degrees",
     "azimuth_deg": "error of the view about gravity",
+    "rotation_deg": "error of the view, no gravity",
 }
 """What people who do not know the names call them; elsewhere the meaning is short enough."""
 

@@ -1,4 +1,4 @@
-"""The metrics of lifted shapes: volume, surface, silhouettes and views, one pure function each."""
+"""The metrics of lifted shapes: silhouettes, surface and volume, one pure function each."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.optimize import minimize
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 from torch import Tensor
@@ -17,15 +19,16 @@ from uplift.data.masks import Placed
 from uplift.geometry.mesh import Mesh
 from uplift.geometry.rotation import about_y
 from uplift.geometry.silhouette import cover
+from uplift.geometry.surface import written_surface
 from uplift.models.prediction import ShapePrediction
 
 __all__ = [
-    "OWN_MIRROR", "SIDE", "Silhouette", "Standing", "TrueItem", "azimuth_errors_deg", "compare_surfaces",
-    "elevation_errors_deg", "grid_surface", "handedness", "mesh_surface", "of_mask", "overlap", "predicted",
-    "score_item", "seen_overlap", "silhouette", "true", "volume_iou", "voxel_centres",
+    "OWN_MIRROR", "SIDE", "Silhouette", "Standing", "TrueItem", "compare_surfaces", "grid_surface", "handedness",
+    "mesh_surface", "of_mask", "overlap", "predicted", "score_item", "seen_overlap", "silhouette", "true", "volume_iou",
+    "volume_iou_aligned", "voxel_centres",
 ]  # fmt: skip
 
-_OF_GRID = ("inside", "empty", "span", "surface")
+_OF_GRID = ("inside", "empty", "span", "box", "surface")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,8 @@ class Standing:
     """Where the origin of the shape's frame is in the camera frame."""
     distance: float
     """Of the camera; infinite for parallel rays."""
+    as_written: bool = False
+    """Whether its surface is the one that files and pages have: smooth, cut finer than the grid."""
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, "depth height width"]:
@@ -58,10 +63,20 @@ class Standing:
         return slice(int(z[0]), int(z[-1]) + 1), slice(int(y[0]), int(y[-1]) + 1), slice(int(x[0]), int(x[-1]) + 1)
 
     @cached_property
+    def box(self) -> Float[np.ndarray, "ends 3"]:
+        """The lowest and the highest x, y and z that the occupied voxels reach, in the shape's frame."""
+        side = self.occupancy.shape[0]
+        return np.array([[2 * getattr(s, end) / side - 1 for s in self.span[::-1]] for end in ("start", "stop")])
+
+    @cached_property
     def surface(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-        """Vertices in the shape's frame, and faces, of the surface at the level (marching cubes); none of an empty shape."""
+        """Vertices in the shape's frame, and faces, of the surface at the level; none of an empty shape."""
         if self.empty:
             return np.zeros((0, 3)), np.zeros((0, 3), int)
+        if self.as_written:
+            mesh = written_surface(self.occupancy.numpy(), self.level).mesh
+            if mesh is not None:
+                return mesh.vertices, mesh.faces
         side = self.occupancy.shape[0]
         around = tuple(slice(s.start, s.stop + 2) for s in self.span)  # one more on each side, of a padded grid
         index, faces, _, _ = marching_cubes(np.pad(self.occupancy.numpy(), 1)[around], self.level)
@@ -132,7 +147,7 @@ class Standing:
 
 def predicted(prediction: ShapePrediction, row: int) -> Standing:
     """Return a lifted shape where the prediction puts it."""
-    return _standing(prediction.occupancy[row], prediction.level, prediction, row)
+    return replace(_standing(prediction.occupancy[row], prediction.level, prediction, row), as_written=True)
 
 
 def true(truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> Standing:
@@ -334,7 +349,10 @@ def volume_iou(found: Standing, truth: Standing, mirrored: bool = False) -> floa
     """
     if found.empty or truth.empty:
         return 0.0
-    found = found.moved(truth.depth - found.depth)
+    return _iou_where_it_is(found.moved(truth.depth - found.depth), truth, mirrored)
+
+
+def _iou_where_it_is(found: Standing, truth: Standing, mirrored: bool = False) -> float:
     side = truth.occupancy.shape[0]
     points = voxel_centres(side)[truth.span]
     occupied = found.occupied
@@ -345,8 +363,7 @@ def volume_iou(found: Standing, truth: Standing, mirrored: bool = False) -> floa
         occupied = _other_way(torch.from_numpy(occupied), truth).numpy()
     else:
         inside = found.inside_at(points, truth.matrix, truth.origin)
-    z, y, x = truth.span
-    low, high = (2 * np.array(end) / side - 1 for end in ((x.start, y.start, z.start), (x.stop, y.stop, z.stop)))
+    low, high = truth.box
     own = (occupied - truth.origin) @ truth.inverse.T
     outside = int(((own < low) | (own > high)).any(1).sum()) * found.voxel**3
     true_inside = truth.inside[truth.span]
@@ -379,36 +396,84 @@ def _is_own_mirror(truth: Standing) -> bool:
     return volume_iou(truth, truth, mirrored=True) > OWN_MIRROR
 
 
-# How far the predicted views are from the true ones: about gravity, and in the camera's tilt.
+# The volume IoU after the best small similarity, which a small error of the pose leaves as it is.
 
-_CANDIDATES_DEG = np.arange(0, 360, 1.0)
+MOST_TURN_DEG, MOST_LEAN_DEG, MOST_SCALE, MOST_SHIFT = 15.0, 10.0, 1.15, 0.1
+"""About gravity; of the up axis to each side; and its inverse; of the truth's longest side, along each axis."""
+_BLURS = (0.12, 0.06, 0.03)
+"""Standard deviations, in units of the truth's grid, with which the similarity is looked for: thin parts find each other."""
+_MOST_POINTS = 2000
 
 
-def azimuth_errors_deg(
-    view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
-) -> Float[np.ndarray, " items"] | None:
-    """Return each view's error about gravity after the one turn of all shapes' frames with the least mean error.
+def volume_iou_aligned(found: Standing, truth: Standing) -> float:
+    """Return `volume_iou` after the similarity, of those near none, that makes it best; never less than without.
 
-    A shape learnt from masks alone faces anywhere, but all of one kind should face alike. None where
-    every view is the same: such shapes are given in the camera's frame, and face nowhere.
+    The shape is turned about the truth's centroid, scaled and shifted, within `MOST_TURN_DEG` about gravity (y of the
+    truth's frame), `MOST_LEAN_DEG` about its x and z, `MOST_SCALE`, and `MOST_SHIFT`. The cosine between the truth and
+    the blurred shape is climbed (L-BFGS-B, from no change), with less blur each time; the best end counts.
     """
-    if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
-        return None
-    # Where the shape's z points, against the camera's depth.
-    azimuth, true_azimuth = (np.degrees(np.arctan2(-views[:, 2, 0], views[:, 2, 2])) for views in (view, truth))
-    off = azimuth - true_azimuth
-    errors = np.abs((off - _CANDIDATES_DEG[:, None] + 180) % 360 - 180)
-    return errors[errors.mean(1).argmin()]
+    if found.empty or truth.empty:
+        return 0.0
+    found = found.moved(truth.depth - found.depth)
+    best, at = _iou_where_it_is(found, truth), np.zeros(7)
+    for blur in _BLURS:
+        at = _climbed(found, truth, at, blur)
+        best = max(best, _iou_where_it_is(_changed(found, truth, at), truth))
+    return best
 
 
-def elevation_errors_deg(
-    view: Float[np.ndarray, "items 3 3"], truth: Float[np.ndarray, "items 3 3"]
-) -> Float[np.ndarray, " items"] | None:
-    """Return each view's error in the tilt against gravity, the y of the shape's frame; None where every view is the same."""
-    if len(view) < 2 or np.ptp(view, axis=0).max() < 1e-6:
-        return None
-    tilt, true_tilt = (np.degrees(np.arcsin(np.clip(views[:, 2, 1], -1, 1))) for views in (view, truth))
-    return np.abs(tilt - true_tilt)
+def _similarity(at: Float[Tensor, "7"], truth: Standing) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the turn times the scale, the scale, and the shift, in the truth's frame; ``at`` from -1 to 1 in each."""
+    turn, lean_x, lean_z = at[:3] * torch.deg2rad(at.new_tensor([MOST_TURN_DEG, MOST_LEAN_DEG, MOST_LEAN_DEG]))
+    zero = torch.zeros_like(turn)
+    skew = torch.stack([zero, -lean_z, turn, lean_z, zero, -lean_x, -turn, lean_x, zero]).reshape(3, 3)
+    scale = MOST_SCALE ** at[3]
+    return torch.linalg.matrix_exp(skew) * scale, scale, at[4:] * (MOST_SHIFT * float(np.ptp(truth.box, axis=0).max()))
+
+
+def _changed(found: Standing, truth: Standing, at: np.ndarray) -> Standing:
+    """Return the shape after a similarity of the truth's frame about the truth's centroid."""
+    turn, _, shift = (part.numpy() for part in _similarity(torch.from_numpy(at), truth))
+    turn = truth.matrix @ turn @ truth.inverse
+    middle = truth.occupied.mean(0)
+    origin = middle + turn @ (found.origin - middle) + truth.matrix @ shift
+    return replace(found, matrix=turn @ found.matrix, origin=origin)
+
+
+@torch.inference_mode(False)
+@torch.enable_grad()  # evaluations run without gradients
+def _climbed(found: Standing, truth: Standing, start: np.ndarray, blur: float) -> Float[np.ndarray, "7"]:
+    """Return the similarity near ``start`` with the best cosine between the truth and the shape blurred."""
+    sigma = blur * truth.voxel * truth.occupancy.shape[0] / found.voxel / 2
+    density = torch.from_numpy(
+        ndimage.gaussian_filter(found.inside.astype(np.float32), sigma, mode="constant", truncate=2)
+    )
+    own = torch.from_numpy(_scattered(truth))
+    to_found = torch.from_numpy(found.inverse @ truth.matrix)
+    origin = torch.from_numpy(found.inverse @ (truth.occupied.mean(0) - found.origin))
+
+    def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
+        at = torch.from_numpy(values).requires_grad_()
+        turn, scale, shift = _similarity(at, truth)
+        places = (own - shift) @ torch.linalg.inv(turn).T @ to_found.T + origin
+        seen = torch.nn.functional.grid_sample(
+            density[None, None], places.float()[None, None, None], align_corners=False
+        )
+        value = -seen.mean() / scale**1.5
+        value.backward()
+        return float(value.detach()), at.grad.numpy().astype(np.float64)
+
+    options = {"ftol": 1e-5, "maxiter": 20}
+    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * 7, options=options).x
+
+
+@functools.lru_cache(1)
+def _scattered(truth: Standing) -> Float[np.ndarray, "points 3"]:
+    """Return points of the truth's volume about its centroid in its frame; not at voxel centres, where both grids may have kinks."""
+    random = np.random.default_rng(0)
+    points = random.choice(truth.occupied, min(len(truth.occupied), _MOST_POINTS), replace=False)
+    points = points + (random.random(points.shape) - 0.5) @ (truth.matrix.T * (2 / truth.occupancy.shape[0]))
+    return (points - truth.occupied.mean(0)) @ truth.inverse.T
 
 
 class TrueItem:
@@ -455,9 +520,10 @@ def score_item(found: Standing, truth: TrueItem, mask: np.ndarray) -> dict[str, 
         for turn, true_one in zip(truth.turns, truth.silhouettes, strict=True)
     ]
     return {
-        "volume_iou": volume,
-        "silhouette_iou_seen": seen,
         "silhouette_iou_unseen": float(np.mean(new)),
         **compare_surfaces(grid_surface(found), truth.surface, truth.longest),
+        "volume_iou": volume,
+        "volume_iou_aligned": volume_iou_aligned(found, truth.standing),
+        "silhouette_iou_seen": seen,
         "handedness": handedness(found, truth.standing, volume),
     }

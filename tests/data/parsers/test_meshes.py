@@ -14,6 +14,7 @@ from trimesh.exchange.gltf import export_gltf
 
 from uplift.data.parsers.meshes import ENDINGS, MeshOptions, axes_to_own, find_mesh_files, read_meshes
 from uplift.errors import UserError
+from uplift.geometry.voxels import fill
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 
@@ -113,6 +114,36 @@ def test_folders_are_read_whole_and_name_categories(tmp_path: Path) -> None:
     assert len(read_meshes([tmp_path / "set", tmp_path / "set/lamp.stl"])) == 2
     drawn = {read_meshes(tmp_path / "set", MeshOptions(most=1, seed=seed))[0].name for seed in range(8)}
     assert drawn == {"model", "lamp"}
+
+
+def write_off(path: Path, header: str, two_sided: bool = False) -> None:
+    """Write a chair of one seat and one back as ModelNet has it: z up, looking along -y, triangles of no common order."""
+    parts = [trimesh.creation.box((1, 1, 0.2)), trimesh.creation.box((1, 0.2, 1)).apply_translation((0, 0.4, 0.5))]
+    mesh = trimesh.util.concatenate(parts)
+    faces = np.concatenate([mesh.faces, mesh.faces[:, ::-1]]) if two_sided else mesh.faces
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = [" ".join(map(str, point)) for point in mesh.vertices.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    path.write_text("\n".join([header.format(len(mesh.vertices), len(faces)), *lines, ""]))
+
+
+def test_a_data_set_in_the_layout_of_modelnet(tmp_path: Path) -> None:
+    write_off(tmp_path / "ModelNet10/chair/train/chair_0001.off", "OFF\n{} {} 0")
+    write_off(tmp_path / "ModelNet10/chair/test/chair_0890.off", "OFF{} {} 0")
+    write_off(tmp_path / "ModelNet10/night_stand/train/night_stand_0001.off", "OFF{} {} 0", two_sided=True)
+    (tmp_path / "ModelNet10/README.txt").write_text("by its authors")
+    expected = {"chair_0001": "chair", "chair_0890": "chair", "night_stand_0001": "night_stand"}
+    assert {path.stem: category for path, category in find_mesh_files(tmp_path / "ModelNet10")} == expected
+    # A category, or a split of one: the shapes are still chairs.
+    for below, count in (("chair", 2), ("chair/train", 1), ("chair/test/chair_0890.off", 1)):
+        found = find_mesh_files(tmp_path / "ModelNet10" / below)
+        assert [category for _, category in found] == ["chair"] * count
+    for mesh in read_meshes(tmp_path / "ModelNet10", MeshOptions(up="z")):
+        # In its own frame the seat is below (y down) and the back behind (z) its middle.
+        inside = fill(mesh.in_unit(), 40)
+        z, y, _ = np.argwhere(inside).mean(0)
+        assert y > 21 and z > 21
+        assert inside.mean() == pytest.approx(0.9**3 * (0.2 + 0.18) / 1.1 / 1.1 / 1.1, rel=0.2)
 
 
 PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"

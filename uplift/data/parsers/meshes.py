@@ -24,6 +24,7 @@ ENDINGS = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 """Files of meshes that are read."""
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 _FRONTS = {"y": "z", "-y": "z", "z": "-y", "-z": "-y"}
+_SPLITS = ("train", "test", "val", "validation")
 _LONGEST_LINE = 100_000
 """Characters of a line of text: a face of ten thousand corners has no more."""
 _FLAT = 1e-5
@@ -46,7 +47,8 @@ class MeshOptions:
     """Parts of the names of those that poses are drawn from, with a minus of those that they are not; empty: all."""
     seed: int = 0
     category: str | None = None
-    """Of all meshes; None: the folder below the given one, else the file's own name."""
+    """Of all meshes; None: the outermost folder below the given one that is not called train, test, val or validation,
+    else the file's own name without a number at its end."""
     most: int | None = None
     """Files that are read, drawn at random; None: all."""
 
@@ -85,18 +87,23 @@ def find_mesh_files(sources: str | Path | Sequence[str | Path]) -> list[tuple[Pa
             if not files:
                 raise UserError(f"{path}: no mesh files in this folder. Expected {', '.join(ENDINGS)}.")
             for file in files:
-                below = file.relative_to(path).parts
-                found.setdefault(file, below[0] if len(below) > 1 else file.stem)
+                found.setdefault(file, _category(file.relative_to(path)))
         elif not path.exists():
             raise UserError(f"{path}: no such file or folder. Expected mesh files ({', '.join(ENDINGS)}) or folders.")
         elif path.suffix.lower() not in ENDINGS:
             export = "Export others as .glb, from Blender with File > Export > glTF 2.0."
             raise UserError(f"{path}: files of meshes end in {', '.join(ENDINGS)}. {export}")
         else:
-            found.setdefault(path, path.stem)
+            found.setdefault(path, _category(Path(path.name)))
     if not found:
         raise UserError(f"no meshes given. Expected files ({', '.join(ENDINGS)}) or folders of them.")
     return list(found.items())
+
+
+def _category(file: Path) -> str:
+    """Return the outermost folder that is no split of a data set, else the file's name without its number, `chair_0012`."""
+    folders = [name for name in file.parts[:-1] if name.casefold() not in _SPLITS]
+    return folders[0] if folders else re.sub(r"_\d+$", "", file.stem) or file.stem
 
 
 def axes_to_own(up: str, front: str | None = None) -> Float[np.ndarray, "3 3"]:

@@ -15,7 +15,7 @@ function ramp(style, name) {
 function palette() {
   const computed = getComputedStyle(document.documentElement), style = (name) => computed.getPropertyValue('--' + name).trim();
   const codes = ['extra', 'missed', 'both'], solid = bits(rgbOf(style('both')));
-  return { clay: ramp(style, 'clay'), true: ramp(style, 'true'), solid: [0, solid, solid, solid],
+  return { clay: ramp(style, 'clay'), true: ramp(style, 'true'), doubt: ramp(style, 'doubt'), solid: [0, solid, solid, solid],
     agree: [0, ...codes.map((name) => bits(rgbOf(style(name))))], over: [0, ...codes.map((name) => bits(rgbOf(style(name)), name === 'both' ? 96 : 190))],
     ink: style('ink'), soft: style('soft'), faint: style('faint'), floor: style('floor') };
 }

@@ -22,6 +22,7 @@ function toggle(name) {
   if (button.hidden) return;
   state[name] = !state[name];
   byId('legend-truth').hidden = !(meta.items[state.item].truth && state.truth);
+  byId('legend-doubt').hidden = !state.doubt;
   show(); staleTiles();
   if (name === 'spin') spin();
 }
@@ -77,7 +78,7 @@ const KEYS = {
   ArrowRight: () => stepItem(1), ArrowLeft: () => stepItem(-1), PageDown: () => stepItem(1), PageUp: () => stepItem(-1), Home: () => openItem(kept.order[0]), End: () => openItem(kept.order.at(-1)),
   a: () => turnBy(0.12, 0), d: () => turnBy(-0.12, 0), w: () => turnBy(0, -0.08), s: () => turnBy(0, 0.08), '+': () => zoomBy(1.2), '=': () => zoomBy(1.2), '-': () => zoomBy(1 / 1.2),
   0: () => { Object.assign(state, SEEN, { spin: false }); show(); }, 1: () => seeFrom('seen'), 2: () => seeFrom('front'), 3: () => seeFrom('side'), 4: () => seeFrom('back'), 5: () => seeFrom('top'),
-  t: () => toggle('truth'), p: () => toggle('photo'), r: () => toggle('spin'), Escape: () => setSheet(true),
+  t: () => toggle('truth'), p: () => toggle('photo'), u: () => toggle('doubt'), r: () => toggle('spin'), Escape: () => setSheet(true),
 };
 const TILE_KEYS = { ArrowRight: () => stepTile(1), ArrowLeft: () => stepTile(-1), ArrowDown: () => stepTile(columnsOf()), ArrowUp: () => stepTile(-columnsOf()) };
 
@@ -85,7 +86,7 @@ addEventListener('keydown', (event) => {
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches?.('select, input')) return;
   const onTile = event.target.matches?.('.tile');
-  const action = key === 'g' ? () => setSheet(!state.sheet) : state.sheet ? (onTile ? TILE_KEYS[key] : null) ?? { t: KEYS.t, p: KEYS.p }[key] : KEYS[key];
+  const action = key === 'g' ? () => setSheet(!state.sheet) : state.sheet ? (onTile ? TILE_KEYS[key] : null) ?? { t: KEYS.t, p: KEYS.p, u: KEYS.u }[key] : KEYS[key];
   if (!action) return;
   event.preventDefault();
   action();
@@ -116,19 +117,32 @@ function wireButtons() {
   for (const button of document.querySelectorAll('[data-sheet]')) button.onclick = () => setSheet(button.dataset.sheet === '1');
   document.querySelector('[data-toggle=truth]').hidden = !state.truth;
   document.querySelector('[data-toggle=photo]').hidden = !kept.photos.size;
+  document.querySelector('[data-toggle=doubt]').hidden = !kept.arrays.doubt;
   byId('sheet-box').hidden = byId('pick').hidden = meta.items.length < 2;
   new ResizeObserver(() => paint(true)).observe(byId('deep'));
   let wide = 0; // its height follows from what is drawn
   new ResizeObserver(([box]) => { if (box.contentRect.width !== wide) { wide = box.contentRect.width; staleTiles(); } }).observe(byId('sheet'));
 }
 
+async function pictureOf(address) {
+  const picture = new Image();
+  picture.src = address;
+  await picture.decode();
+  return picture;
+}
+
+function pixelsOf(picture) {
+  const canvas = document.createElement('canvas'), { width, height } = picture;
+  canvas.width = width; canvas.height = height;
+  const ctx = canvas.getContext('2d');
+  ctx.drawImage(picture, 0, 0);
+  return { width, height, colours: new Uint32Array(ctx.getImageData(0, 0, width, height).data.buffer) };
+}
+
 async function loadPhotos() {
   await Promise.all(meta.items.map(async (one, k) => {
-    if (!one.photo) return;
-    const photo = new Image();
-    photo.src = one.photo;
-    await photo.decode();
-    kept.photos.set(k, photo);
+    if (one.photo) kept.photos.set(k, await pictureOf(one.photo));
+    if (one.texture) kept.textures.set(k, pixelsOf(await pictureOf(one.texture)));
   }));
 }
 

@@ -18,8 +18,20 @@ function meshOf(index) {
   const points = new Float32Array(3 * place.vertices), faces = new Uint16Array(3 * place.faces);
   for (let k = 0; k < points.length; k++) points[k] = value(kept.arrays.vertices, 3 * place.vertex + k);
   for (let k = 0; k < faces.length; k++) faces[k] = value(kept.arrays.faces, 3 * place.face + k);
-  place.ready = { points, faces, normals: cornerNormals(points, faces), ...box(points) };
+  const column = (name, width, k) => (kept.arrays[name] ? Float32Array.from({ length: place.vertices }, (_, n) => value(kept.arrays[name], width * (place.vertex + n) + k)) : null);
+  place.ready = { points, faces, normals: cornerNormals(points, faces, welded(points)), sky: column('sky', 1, 0), across: column('place', 2, 0), down: column('place', 2, 1), doubt: column('doubt', 1, 0), ...box(points) };
   return place.ready;
+}
+
+// Corners that are doubled along a texture's seam count as one for the light.
+function welded(points) {
+  const first = new Map(), found = new Uint16Array(points.length / 3);
+  for (let k = 0; k < found.length; k++) {
+    const key = `${points[3 * k]},${points[3 * k + 1]},${points[3 * k + 2]}`;
+    if (!first.has(key)) first.set(key, k);
+    found[k] = first.get(key);
+  }
+  return found;
 }
 
 // `wide` and `tall` are half the sizes about the middle of the box, `far` is from the origin.
@@ -36,19 +48,19 @@ function box(points) {
 }
 
 // A normal for each corner of each triangle: the mean of those around it that do not lie across a crease.
-function cornerNormals(points, faces) {
+function cornerNormals(points, faces, same) {
   const count = faces.length / 3, flat = new Float32Array(3 * count), size = new Float32Array(count), around = Array.from({ length: points.length / 3 }, () => []);
   for (let f = 0; f < count; f++) {
     const [a, b, c] = [0, 1, 2].map((k) => 3 * faces[3 * f + k]), u = [0, 1, 2].map((k) => points[b + k] - points[a + k]), v = [0, 1, 2].map((k) => points[c + k] - points[a + k]);
     const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
     size[f] = Math.hypot(...n) || 1e-12;
-    for (let k = 0; k < 3; k++) { flat[3 * f + k] = n[k] / size[f]; around[faces[3 * f + k]].push(f); }
+    for (let k = 0; k < 3; k++) { flat[3 * f + k] = n[k] / size[f]; around[same[faces[3 * f + k]]].push(f); }
   }
   const normals = new Float32Array(9 * count);
   for (let corner = 0; corner < 3 * count; corner++) {
     const own = 3 * ((corner / 3) | 0);
     let x = 0, y = 0, z = 0;
-    for (const f of around[faces[corner]]) {
+    for (const f of around[same[faces[corner]]]) {
       const near = flat[own] * flat[3 * f] + flat[own + 1] * flat[3 * f + 1] + flat[own + 2] * flat[3 * f + 2];
       if (near < CREASE) continue;
       x += size[f] * flat[3 * f]; y += size[f] * flat[3 * f + 1]; z += size[f] * flat[3 * f + 2];

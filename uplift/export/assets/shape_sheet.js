@@ -20,7 +20,7 @@ function drawTile(entry) {
   const most = Math.max(1e-6, ...views.filter(({ mesh }) => mesh).map(({ mesh, placing, lift }) => extentOf(mesh, placing, SHEET_TURN, lift)));
   for (const { canvas, placing, colours, mesh, lift } of views) {
     const { ctx, width, height, ratio } = fitCanvas(canvas);
-    if (mesh) drawShape(ctx, mesh, placing, { x: 0, y: 0, width, height, px: (0.43 * width) / most, turn: SHEET_TURN, lift, fine: Math.max(ratio, 2), colours, floor: false });
+    if (mesh) drawShape(ctx, mesh, placing, { x: 0, y: 0, width, height, px: (0.43 * width) / most, turn: SHEET_TURN, lift, fine: Math.max(ratio, 2), colours, look: canvas === deep ? lookOf(entry.item, mesh) : null, floor: false });
     else tellNothing(ctx, '', width, height);
   }
   const parts = one.scores.map((v, k) => `${meta.scoreNames[k]} ${figure(v)}`);

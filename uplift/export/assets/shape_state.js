@@ -2,8 +2,8 @@
 const byId = (id) => document.getElementById(id);
 const calm = matchMedia('(prefers-reduced-motion: reduce)');
 const SEEN = { turn: 0, lift: 0, zoom: 1, panX: 0, panY: 0 };
-const state = { item: 0, sheet: meta.sheet, truth: meta.items.some((one) => one.truth), photo: true, spin: false, ...SEEN };
-const kept = { arrays: null, colours: null, photos: new Map(), order: meta.items.map((_, k) => k), made: [], due: false, flatDue: true, moving: 0, queued: false, painted: 0, drawMs: 0, agree: NaN, turns: [] };
+const state = { item: 0, sheet: meta.sheet, truth: meta.items.some((one) => one.truth), photo: true, doubt: false, spin: false, ...SEEN };
+const kept = { arrays: null, colours: null, photos: new Map(), textures: new Map(), order: meta.items.map((_, k) => k), made: [], due: false, flatDue: true, moving: 0, queued: false, painted: 0, drawMs: 0, agree: NaN, turns: [] };
 
 const figure = (v) => (Number.isFinite(v) ? v.toFixed(2) : '–');
 const degrees = (a) => { const d = Math.round((a * 180) / Math.PI); return ((((d + 180) % 360) + 360) % 360) - 180; };
