@@ -98,7 +98,10 @@ class MaskPoses(nn.Module):
     @property
     def best(self) -> ObjectPose:
         """The likeliest of each mask."""
-        picked = self.weight.argmax(1)
+        return self.ranked(self.weight.argmax(1))
+
+    def ranked(self, picked: Int[Tensor, " items"]) -> ObjectPose:
+        """Return one hypothesis of each mask."""
         rows = torch.arange(len(picked), device=picked.device)
         return ObjectPose(*(getattr(self, name)[rows, picked].detach() for name in ObjectPose._fields))
 
