@@ -1,7 +1,7 @@
 """A picture of lifted and true shapes: ``python -m benchmarks.shapes.picture RUN OUTPUT.png``.
 
 Each row is a test item: its mask, the lifted shape as the camera sees it and rotated about gravity, and the true shape
-in the same views. Rows are ordered from the best volume IoU to the worst, evenly spaced by rank.
+in the same views. Rows are ordered from the best overlap of unseen silhouettes to the worst, evenly spaced by rank.
 """
 
 from __future__ import annotations
@@ -13,21 +13,24 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Shaped
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from uplift.config.run import RunFolder
 from uplift.data.load_masks import load_masks
 from uplift.data.masks import MaskData
 from uplift.geometry.rotation import about_y
-from uplift.metrics.evaluate_shapes import evaluate_shapes, filled_truths
+from uplift.geometry.surface import written_surface
+from uplift.geometry.voxels import fill
+from uplift.metrics.evaluate_shapes import evaluate_shapes
 from uplift.models.model import load
 from uplift.models.prediction import ShapePrediction
 
 __all__ = ["main", "shaded"]
 
-_SIDE, _DEPTHS, _GAP = 96, 160, 6
+_SIDE, _DEPTHS, _GAP, _GRID = 112, 240, 6, 128
 _TURNS_DEG = (0, 60, 120, 180)
 _WIDE = 1.25
 """Half the width of a picture, in half sides of the crop."""
@@ -49,8 +52,8 @@ def shaded(
     return np.where(np.isnan(near), 1.0, np.clip(light, 0.15, 0.9))
 
 
-def _turned(grid: Bool[np.ndarray, "depth height width"], view: np.ndarray, scale: float) -> list[np.ndarray]:
-    occupied = torch.from_numpy(np.ascontiguousarray(grid)).float()
+def _turned(grid: Shaped[np.ndarray, "depth height width"], view: np.ndarray, scale: float) -> list[np.ndarray]:
+    occupied = torch.from_numpy(gaussian_filter(np.asarray(grid, np.float32), 1))
     seen_from = torch.from_numpy(np.asarray(view, np.float32))
     turns = about_y(torch.deg2rad(torch.tensor(_TURNS_DEG, dtype=torch.float32)))
     # Rotated about the object's down axis, seen by the same camera.
@@ -60,8 +63,9 @@ def _turned(grid: Bool[np.ndarray, "depth height width"], view: np.ndarray, scal
 def _row(prediction: ShapePrediction, data: MaskData, item: int) -> np.ndarray:
     assert data.truth is not None
     mask = Image.fromarray(255 - data.masks[item]).resize((_SIDE, _SIDE))
-    (_, true), *_ = filled_truths(data.truth, np.array([item]), 96)
-    lifted = np.asarray(prediction.occupancy[item], np.float32) > prediction.level
+    surface = written_surface(prediction.occupancy[item], prediction.level).mesh
+    lifted = np.zeros((_GRID,) * 3) if surface is None else fill(surface, _GRID)
+    true = fill(data.truth.meshes[data.truth.shape[item]], _GRID)
     cells = [np.asarray(mask) / 255, *_turned(lifted, prediction.view[item], float(prediction.scale[item]))]
     cells += _turned(true, data.truth.view[item], float(data.truth.scale[item]))
     gap = np.ones((_SIDE, _GAP))
@@ -81,12 +85,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"{given.run}: its test masks have no true shapes")
     data = data.select(np.arange(min(given.items, len(data))))
     prediction = load(given.run / "lifter.pt").predict(data.without_truth())
-    scores = evaluate_shapes(prediction, data.truth, data.masks, "test").per_item["volume_iou"]
+    scores = evaluate_shapes(prediction, data.truth, data.masks, "test").per_item["silhouette_iou_unseen"]
     ranked = np.argsort(-scores)
     chosen = ranked[np.round(np.linspace(0.03, 0.97, given.rows) * (len(ranked) - 1)).astype(int)]
     rows = [_row(prediction, data, int(item)) for item in chosen]
     Image.fromarray((255 * np.concatenate(rows)).astype(np.uint8)).save(given.output, optimize=True)
-    print(f"wrote {given.output}: volume IoU {', '.join(f'{scores[item]:.2f}' for item in chosen)}, from top to bottom")
+    print(f"wrote {given.output}: unseen silhouettes {', '.join(f'{scores[item]:.2f}' for item in chosen)}, from top to bottom")
     return 0
 
 
