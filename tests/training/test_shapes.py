@@ -198,7 +198,7 @@ def test_a_trained_space_finds_views_by_itself(fitted: Fitted) -> None:
     module = ShapeModule(fitted.module.final, shape=SHAPE, first=False)
     assert module.lifter is not fitted.module.final
     fit(module, uplift.MaskDataModule(masks().without_truth(), val=0, batch_size=8, shape=SHAPE), 1)
-    assert float(module.poses.scale.min()) > 0
+    assert float(module.poses.scale.detach().min()) > 0
     assert not module.poses.known.any()
     with pytest.raises(UserError, match="starts from a trained uplift.MixtureModule"):
         fit(ShapeModule(shape=SHAPE), fitted.data, 1)
@@ -258,7 +258,7 @@ def test_cut_outs_have_their_box_in_the_middle() -> None:
     for one, (height, width) in zip(cut[:2], ((20, 8), (10, 40)), strict=True):
         rows, columns = ((one > 0.4).any(axis).nonzero()[:, 0] for axis in (1, 0))
         size = [int(at[-1] - at[0]) + 1 for at in (rows, columns)]
-        assert max(size) == pytest.approx(FILL * 48, abs=3)
+        assert max(size) == pytest.approx(FILL * 48, abs=4)
         assert size[0] / size[1] == pytest.approx(height / width, rel=0.2)
         assert [float(at[0] + at[-1]) / 2 for at in (rows, columns)] == pytest.approx([23.5, 23.5], abs=1.5)
     assert not cut[2].any()
