@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from uplift.cli.request import Request
 from uplift.cli.verbs import SHAPE_KEYS
 from uplift.data.formats import read_masks
 from uplift.data.load import format_of_run
-from uplift.errors import UserError
+from uplift.errors import UserError, did_you_mean
 from uplift.export import write, writer_for
 from uplift.export.meshes import NO_COLOURS
 from uplift.models.likely_size import small_size
@@ -20,7 +21,7 @@ from uplift.models.model import load_shapes
 from uplift.models.prediction import ShapePrediction
 from uplift.video.detect import Detection
 
-__all__ = ["lift_masks", "mask_arguments", "shape_summary"]
+__all__ = ["groups_of", "lift_masks", "mask_arguments", "shape_summary"]
 
 _READING = ("format", "border", "pieces", "category", "most", "images", "side")
 _OF_MESHES = ("axes", "unit", "height_mm", "length_mm", "smooth", "together", "texture")
@@ -53,14 +54,17 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}
+    by, front = options.pop("group", None), options.pop("front", None)
     for output in request.outputs:
         _check_mesh_output(output, request.page, options)
     refuse_outputs(request.outputs)
     model, trained = load_shapes(request.weights), request.weights.settings()
     if trained is not None:
         reading = {"side": trained.data.side, "format": format_of_run(trained, request.input), **reading}
+    model = model if front is None else model.facing(front)
     data = read_masks(request.input, **reading)
-    prediction = model.predict(data.without_truth(), title=request.title)
+    group = None if by is None else groups_of(data.names, by)
+    prediction = model.predict(data.without_truth(), title=request.title, group=group)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     small = small_size({key: options.get(key) for key in ("height_mm", "length_mm")})
     prediction.notes = (*notes, *prediction.notes, *([small] if small else []))
@@ -68,6 +72,32 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     for output in request.outputs:
         files |= write(prediction, output, request.page, **options)
     return prediction, files
+
+
+_LAST_NUMBER, _ENDING = re.compile(r"\d+(?=\D*$)"), re.compile(r"\.[A-Za-z]\w{1,4}$")
+
+
+def groups_of(names: Sequence[str], by: str) -> list[str]:
+    """Return the object that each mask is a view of: one for ``all``, by ``folder``, or by ``name`` but for its last number.
+
+    Objects of a label image have numbers, ``frame_001.png:3``: those with other numbers are other objects, in all frames.
+    Raises UserError for another way, or where no two masks would be of one object.
+    """
+    if by not in _GROUPS:
+        raise UserError(f"group={by}: expected {', '.join(_GROUPS)}.{did_you_mean(by, _GROUPS)}")
+    parts = [name.partition(":") for name in names]
+    found = ["" if by == "all" else f"{_GROUPS[by](file)}{colon}{number}" for file, colon, number in parts]
+    if len(found) > 1 and len(set(found)) == len(found):
+        alike = {"folder": "lie in one folder", "name": "have names that differ in the last number alone"}[by]
+        raise UserError(f"group={by}: no two of {len(found):,} masks {alike}, such as {names[0]}, {names[1]}.")
+    return found
+
+
+_GROUPS: dict[str, Callable[[str], str]] = {
+    "all": lambda name: "",
+    "folder": lambda name: name.rpartition("/")[0],
+    "name": lambda name: _LAST_NUMBER.sub("#", _ENDING.sub("", name)),
+}
 
 
 def _check_mesh_output(output: str | Path, page: str | None, options: Mapping[str, Any]) -> None:

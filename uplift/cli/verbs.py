@@ -185,6 +185,11 @@ SHAPE_KEYS = _table(
     _key("texture", Optional[str], None, "false: meshes without the photos that the masks name; true: it is an error where there are none; unset: "
          "with those that are found", choices=("true", "false")),
     _key("items", Optional[int], None, "shapes at most that a page shows", 1, _MOST_ITEMS),
+    _key("group", Optional[str], None, "masks that are views of one object and get one shape: all of them, those of a folder, or "
+         "those whose name is the same up to its last number (cow_001.png, cow_002.png); unset: each mask is lifted alone",
+         choices=("all", "folder", "name")),
+    _key("front", Optional[float], None, "azimuth, degrees, at which this lifter sees objects from their front; unset: 0. Masks do "
+         "not say which side that is: 180 where shapes look backwards", -360, 360),
 )  # fmt: skip
 """What predict takes for masks alone."""
 SHAPE_KEYS = {name: one._replace(only="masks") for name, one in SHAPE_KEYS.items()}

@@ -126,6 +126,8 @@ WRITERS = {
         ".ply": Writer("uplift.export.meshes:encode_ply", "a mesh where the camera saw it", "camera", "item"),
         ".stl": Writer("uplift.export.meshes:encode_stl", "a mesh, for printing", "print", "item"),
         ".npz": Writer("uplift.export.meshes:write_npz", "occupancy grids, for Python", "own"),
+        ".csv": Writer("uplift.export.shape_views:write_views_csv", "a table of views, one row a mask", "own"),
+        ".json": Writer("uplift.export.shape_views:write_views_json", "views as text, for any language", "own"),
     },
 }
 MEASURES = {

@@ -355,7 +355,8 @@ def in_camera(
 _ARRAYS = {
     "occupancy": np.float16, "view": np.float32, "scale": np.float32, "offset": np.float32, "distance": np.float32,
     "names": np.str_, "centre_px": np.float32, "scale_px": np.float32, "masks": np.uint8, "level": np.float32,
-    "images": np.str_, "uncertainty": np.float16,
+    "images": np.str_, "uncertainty": np.float16, "azimuth_deg": np.float32, "elevation_deg": np.float32,
+    "roll_deg": np.float32, "probability": np.float32, "second_view": np.float32, "second_probability": np.float32,
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from uplift.config.device import device_of, fast_products, half_is_fast
@@ -29,6 +30,7 @@ from uplift.data.masks import MaskData
 from uplift.data.poses import PoseData
 from uplift.errors import UserError
 from uplift.geometry.lens import place_roots
+from uplift.models.front import front_at
 from uplift.models.ground import put_on_ground
 from uplift.models.known_camera import KnownCamera, about_cameras, with_guessed_focal
 from uplift.models.lifter import Lifter, mixed_networks
@@ -45,7 +47,8 @@ from uplift.models.predict import (
     with_constant_bones,
 )
 from uplift.models.prediction import Prediction, ShapePrediction
-from uplift.models.shape_lifter import LiftedShapes, fill_rays, lift_masks
+from uplift.models.shape_groups import lift_groups
+from uplift.models.shape_lifter import LiftedShapes, fill_rays, lift_masks, of_groups
 from uplift.models.shape_space import ShapeSpace
 from uplift.models.together import (
     Scene,
@@ -522,38 +525,69 @@ class ShapeModel(_Saved):
 
     lifts: ClassVar[str] = "masks"
     formats: ClassVar[tuple[int, ...]] = (2,)
+    later_buffers: ClassVar[tuple[str, ...]] = ("front",)
 
     lifter: ShapeSpace
     settings: ShapeSettings
 
-    def lift(self, masks: np.ndarray, resolution: int | None = None, refine: int | None = None) -> LiftedShapes:
+    def lift(
+        self,
+        masks: np.ndarray,
+        resolution: int | None = None,
+        refine: int | None = None,
+        group: Int[np.ndarray, " items"] | None = None,
+    ) -> LiftedShapes:
         """Return shapes of masks (items side side), 0..255, cropped as `uplift.data.masks.MaskData` has them.
 
         Args:
             masks: to lift.
             resolution: voxels along a grid; ``shape.resolution`` if None.
             refine: steps in which code and view of each mask are refined; ``shape.refine`` if None.
+            group: a number for each mask: those with the same are one object and get one shape
+                (`uplift.models.shape_groups`). None: each mask is lifted alone.
         """
-        resolution = resolution or self.settings.resolution
+        lifter, device = self.lifter, self.lifter.level.device
         steps = self.settings.refine if refine is None else refine
-        half = half_is_fast(self.lifter.level.device)
-        found = []
-        with fast_products("auto"), mixed_networks(torch.bfloat16 if half else None):
-            for start in progress(range(0, len(masks), _CHUNK), "lifting masks, by 50"):
-                part = as_tensor(masks[start : start + _CHUNK]).to(self.lifter.level.device)
-                found.append(lift_masks(self.lifter, part, resolution=resolution, steps=steps).to("cpu"))
-        return LiftedShapes.concat(found)
+        how = {"resolution": resolution or self.settings.resolution, "steps": steps}
+        number = np.arange(len(masks)) if group is None else np.unique(group, return_inverse=True)[1].reshape(-1)
+        order, found = np.argsort(number, kind="stable"), []
+        with fast_products("auto"), mixed_networks(torch.bfloat16 if half_is_fast(device) else None):
+            for part in progress(_whole_groups(number[order]), "lifting masks, by 50"):
+                part_masks, which = as_tensor(masks[order[part]]).to(device), torch.from_numpy(number[order[part]])
+                if group is None:
+                    found.append(lift_masks(lifter, part_masks, **how).to("cpu"))
+                else:
+                    found.append(lift_groups(lifter, part_masks, (which - which[0]).to(device), **how).to("cpu"))
+        return LiftedShapes.concat(found).select(np.argsort(order))
 
-    def predict(self, data: MaskData, title: str = "", refine: int | None = None) -> ShapePrediction:
+    def predict(
+        self,
+        data: MaskData,
+        title: str = "",
+        refine: int | None = None,
+        group: Sequence[Any] | np.ndarray | None = None,
+    ) -> ShapePrediction:
         """Return a shape for every mask: expected occupancy, the iso threshold of its surface, and uncertainty.
 
-        Occupancy is raised along rays of the mask that nothing else reaches the threshold on. Raises UserError without
-        masks.
+        Occupancy is raised along rays of the mask that nothing else reaches the threshold on.
+
+        Args:
+            data: the masks.
+            title: of the prediction.
+            refine: steps, as `lift` has them.
+            group: a name or number for each mask: those with the same are views of one object, such as frames of a
+                video, and get one shape, each with its own pose. None: each mask is lifted alone.
+
+        Raises:
+            UserError: no masks, or not one group for each.
         """
         if not len(data):
             raise UserError("There is no mask to lift.")
-        found, level = self.lift(data.masks, refine=refine), float(self.lifter.level)
+        number = None if group is None else _numbered(group, len(data))
+        found, level = self.lift(data.masks, refine=refine, group=number), float(self.lifter.level)
         filled = fill_rays(found, as_tensor(data.masks), level, symmetric=self.settings.symmetric)
+        if number is not None:
+            filled = of_groups(filled, torch.from_numpy(number), "amax")
         return ShapePrediction(
             **{name: part.numpy() for name, part in vars(replace(found, occupancy=filled)).items()},
             masks=data.masks,
@@ -565,11 +599,42 @@ class ShapeModel(_Saved):
             images=data.images,
         )
 
+    def facing(self, degrees: float) -> ShapeModel:
+        """Return a model whose shapes have their front where this one's are seen at azimuth ``degrees``.
+
+        It is the same lifter in another frame: silhouettes stay, azimuths are less by ``degrees``. Raises UserError for
+        other than 0 and 180 where shapes are their own mirror image.
+        """
+        space = copy.deepcopy(self.lifter)
+        space.front.copy_(front_at(degrees, self.settings).to(space.front) @ space.front)
+        return replace(self, lifter=space)
+
     def _description(self) -> dict[str, Any]:
-        return {"lifts": self.lifts, "shape": dataclasses.asdict(self.settings), "detail": self.lifter.detail}
+        shape = {**dataclasses.asdict(self.settings), "views": None}  # a file of the machine that it was fitted on
+        return {"lifts": self.lifts, "shape": shape, "detail": self.lifter.detail}
 
     @classmethod
     def _untrained(cls, state: dict[str, Any]) -> ShapeModel:
         settings = settings_of(ShapeSettings, "shape", state["shape"])
         space = ShapeSpace(settings, state["detail"])
         return cls(space.eval().requires_grad_(False), settings)
+
+
+def _whole_groups(number: np.ndarray) -> list[slice]:
+    """Return parts of sorted groups, none of which is cut: so many as there are in about `_CHUNK` masks."""
+    ends = np.append(np.flatnonzero(np.diff(number)) + 1, len(number))
+    parts, start, last = [], 0, 0
+    for end in ends.tolist():
+        if end - start > _CHUNK and last > start:
+            parts.append(slice(start, last))
+            start = last
+        last = end
+    return [*parts, slice(start, len(number))]
+
+
+def _numbered(group: Sequence[Any] | np.ndarray, items: int) -> Int[np.ndarray, " items"]:
+    """Return the groups as numbers from 0."""
+    names = np.asarray(group)
+    if names.shape != (items,):
+        raise UserError(f"group has shape {names.shape}, expected one name or number for each of {items:,} masks.")
+    return np.unique(names, return_inverse=True)[1].reshape(-1)

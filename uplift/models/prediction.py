@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int, UInt8
 
 from uplift.config.files import without_folders
@@ -13,11 +14,12 @@ from uplift.data.poses import UNITS
 from uplift.data.samples import Samples
 from uplift.geometry.gravity import roll_of
 from uplift.models.ground import Ground
+from uplift.models.silhouettes import angles_of
 
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
 
-__all__ = ["Prediction", "ShapePrediction"]
+__all__ = ["Prediction", "ShapePrediction", "view_angles_deg"]
 
 
 @dataclass
@@ -133,6 +135,11 @@ class ShapePrediction(Samples):
     images: np.ndarray | None = None
     uncertainty: Float[np.ndarray, "items depth height width"] | None = None
     """The standard deviation of each voxel's occupancy over the shapes that a mask leaves open, where it is known."""
+    probability: Float[np.ndarray, " items"] | None = None
+    """Of `view`, among all that a mask may be from."""
+    second_view: Float[np.ndarray, "items 3 3"] | None = None
+    """The likeliest of the views that are apart from `view`; NaN where there is none."""
+    second_probability: Float[np.ndarray, " items"] | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -143,3 +150,24 @@ class ShapePrediction(Samples):
     def resolution(self) -> int:
         """Voxels along the grid."""
         return self.occupancy.shape[-1]
+
+    @property
+    def azimuth_deg(self) -> Float[np.ndarray, " items"]:
+        """How far each object is turned about gravity: 0 seen from its front, 90 from its left, 180 from behind."""
+        return view_angles_deg(self.view)[0]
+
+    @property
+    def elevation_deg(self) -> Float[np.ndarray, " items"]:
+        """How far each camera looks down."""
+        return view_angles_deg(self.view)[1]
+
+    @property
+    def roll_deg(self) -> Float[np.ndarray, " items"]:
+        """How far up leans to the right in the image."""
+        return view_angles_deg(self.view)[2]
+
+
+def view_angles_deg(view: Float[np.ndarray, "items 3 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return azimuth, elevation and roll of views in degrees, as `uplift.models.silhouettes.ObjectPose` has them."""
+    azimuth, elevation, roll = angles_of(torch.as_tensor(np.asarray(view, np.float64)))
+    return tuple(np.rad2deg(angle.numpy()) for angle in (azimuth, elevation, roll))  # type: ignore[return-value]

@@ -7,16 +7,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy
 
 from uplift.data.samples import Samples
+from uplift.models.front import turned_grids
 from uplift.models.shape_space import ShapeSpace
 from uplift.models.silhouettes import ObjectPose
 from uplift.models.view_hypotheses import ViewHypotheses
 
-__all__ = ["LiftedShapes", "choose_iso_threshold", "fill_rays", "lift_masks", "pick_views"]
+__all__ = [
+    "LiftedShapes", "State", "choose_iso_threshold", "chosen_views", "encoded", "expected_shapes", "fill_rays", "first_states",
+    "lift_masks", "of_groups", "pick_views", "refined", "target_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,19 @@ class LiftedShapes(Samples):
     scale: Float[Tensor, " items"]
     offset: Float[Tensor, "items 2"]
     distance: Float[Tensor, " items"]
+    probability: Float[Tensor, " items"]
+    """Of the view."""
+    second_view: Float[Tensor, "items 3 3"]
+    """The likeliest of the views that are apart from it; NaN where there is none."""
+    second_probability: Float[Tensor, " items"]
+
+
+class Chosen(NamedTuple):
+    """The likeliest of the views that a mask may be from, and the next that is apart from it."""
+
+    probability: Float[Tensor, " items"]
+    second_view: Float[Tensor, "items 3 3"]
+    second_probability: Float[Tensor, " items"]
 
 
 # Inference: from the likeliest views as the encoder sees them, down the gradient of the posterior.
@@ -39,7 +56,7 @@ _STARTS = 3
 _APART = 0.45
 """Radians between two views that are tried."""
 _NEVER = 1e6
-_FIRST_STEPS = 12
+FIRST_STEPS = 12
 _TEMPERATURE = 0.0015
 _SURE = 0.005
 _SPREAD = 0.7
@@ -48,16 +65,16 @@ _SAMPLES = 12
 _RATES = {"code": 0.06, "azimuth": 0.015, "roll": 0.015, "elevation": 0.006, "scale": 0.006, "offset": 0.006}
 
 
-class _State(NamedTuple):
+class State(NamedTuple):
     """What is refined of masks."""
 
     code: Float[Tensor, "items code"]
     deviation: Float[Tensor, "items code"]
     pose: ObjectPose
 
-    def pick(self, rows: Tensor) -> _State:
+    def pick(self, rows: Tensor) -> State:
         """Return some of the items."""
-        return _State(self.code[rows], self.deviation[rows], self.pose.pick(rows))
+        return State(self.code[rows], self.deviation[rows], self.pose.pick(rows))
 
 
 def lift_masks(
@@ -72,23 +89,46 @@ def lift_masks(
         steps: of the refinement; 0: as the encoder and the view head say.
     """
     with torch.no_grad():
-        features = space.features(masks)
-        starts, _ = _starts(space, features)
-    count = len(masks)
-    state = _State(*(part[:count] for part in starts[:2]), starts.pose.pick(slice(count)))
+        starts, likely = first_states(space, space.features(masks))
+    target, cost = target_of(masks, space.settings.pixels), -nearest_view(space, starts.pose, likely)
     if steps:
-        target = _target(masks, space.settings.pixels)
-        starts, cost = _refined(space, starts, target, min(steps, _FIRST_STEPS))
-        chosen = cost.view(-1, count).argmin(0) * count + torch.arange(count, device=cost.device)
-        state, _ = _refined(space, starts.pick(chosen), target, steps)
-    return _expected(space, state, masks, resolution)
+        starts, cost = refined(space, starts, target, min(steps, FIRST_STEPS))
+    best, chosen = chosen_views(starts.pose, cost, len(masks))
+    state = starts.pick(best)
+    if steps:
+        state, _ = refined(space, state, target, steps)
+    return expected_shapes(space, state, masks, resolution, chosen)
 
 
-def _target(masks: Tensor, side: int) -> Tensor:
+_SURENESS = 0.1
+"""Power of the probabilities of views: pixels of a silhouette are far from independent."""
+
+
+def chosen_views(
+    pose: ObjectPose, cost: Float[Tensor, " candidates"], items: int
+) -> tuple[Int[Tensor, " items"], Chosen]:
+    """Return which of the candidates of all items, one after the other, is the cheapest of each, and what is chosen with it.
+
+    ``cost`` is minus the log posterior of each candidate.
+    """
+    view, cost = pose.view.view(-1, items, 3, 3), cost.view(-1, items)
+    rows, best = torch.arange(items, device=cost.device), cost.argmin(0)
+    likely = (-_SURENESS * cost).softmax(0)
+    apart = ((view * view[best, rows]).sum((-1, -2)) - 1) / 2 < math.cos(_APART)
+    second = cost.masked_fill(~apart, math.inf).argmin(0)
+    there = apart.any(0)
+    return best * items + rows, Chosen(
+        likely.masked_fill(apart, 0).sum(0),
+        view[second, rows].where(there[:, None, None], math.nan),
+        likely[second, rows].where(there, 0.0),
+    )
+
+
+def target_of(masks: Tensor, side: int) -> Tensor:
     return nn.functional.interpolate(masks[:, None], (side, side), mode="area")[:, 0]
 
 
-def _starts(space: ShapeSpace, features: Tensor) -> tuple[_State, Float[Tensor, "items views"]]:
+def first_states(space: ShapeSpace, features: Tensor) -> tuple[State, Float[Tensor, "items views"]]:
     """Return the likeliest views that are apart, of all masks one after the other, and the log probability of all views."""
     likely = space.view_logits(features).log_softmax(1)
     views = space.view_matrices.flatten(1)
@@ -96,19 +136,19 @@ def _starts(space: ShapeSpace, features: Tensor) -> tuple[_State, Float[Tensor, 
     states, left = [], likely
     for _ in range(_STARTS):
         best = left.argmax(1)
-        states.append(_encoded(space, features, space.placed(features, *space.views[best].unbind(1))))
+        states.append(encoded(space, features, space.placed(features, *space.views[best].unbind(1))))
         left = left.masked_fill(~apart[best], -1e9)
     return _joined(states), likely
 
 
-def _encoded(space: ShapeSpace, features: Tensor, pose: ObjectPose) -> _State:
+def encoded(space: ShapeSpace, features: Tensor, pose: ObjectPose) -> State:
     mean, log_variance = space.encode(features, pose)
-    return _State(mean, (log_variance / 2).exp(), pose)
+    return State(mean, (log_variance / 2).exp(), pose)
 
 
-def _joined(states: list[_State]) -> _State:
+def _joined(states: list[State]) -> State:
     poses = ObjectPose(*(torch.cat(part) for part in zip(*(state.pose for state in states), strict=True)))
-    return _State(torch.cat([state.code for state in states]), torch.cat([state.deviation for state in states]), poses)
+    return State(torch.cat([state.code for state in states]), torch.cat([state.deviation for state in states]), poses)
 
 
 _FEW_STEPS, _PICK_STEPS = 3, 4
@@ -128,18 +168,25 @@ def pick_views(
     side = min(space.settings.pixels, space.detail)
     with torch.no_grad():
         features = space.features(masks)
-        own, likely = _starts(space, features)
+        own, likely = first_states(space, features)
         states = [own]
         for number in range(0 if before is None else before.weight.shape[1]):
             pose = ObjectPose(*(part[:, number] for part in before.poses))  # type: ignore[union-attr]
-            states.append(_encoded(space, features, pose))
-    target, count = _target(masks, side), len(masks)
-    state, cost = _refined(space, _joined(states), target, _FEW_STEPS, _PICK_TEMPERATURE)
+            states.append(encoded(space, features, pose))
+    target, count = target_of(masks, side), len(masks)
+    state, cost = refined(space, _joined(states), target, _FEW_STEPS, _PICK_TEMPERATURE)
     kept = cost.view(-1, count).topk(most, 0, largest=False).indices * count + torch.arange(count, device=cost.device)
-    state, cost = _refined(space, state.pick(kept.flatten()), target, _PICK_STEPS, _PICK_TEMPERATURE)
-    nearest = (state.pose.view.flatten(1) @ space.view_matrices.flatten(1).T).argmax(1).view(-1, count)
-    cost = cost.view(-1, count) - likely.gather(1, nearest.T).T
-    return _best_apart(state.pose, cost, most)
+    state, cost = refined(space, state.pick(kept.flatten()), target, _PICK_STEPS, _PICK_TEMPERATURE)
+    cost = cost - nearest_view(space, state.pose, likely)
+    return _best_apart(state.pose, cost.view(-1, count), most)
+
+
+def nearest_view(
+    space: ShapeSpace, pose: ObjectPose, likely: Float[Tensor, "items views"]
+) -> Float[Tensor, " candidates"]:
+    """Return what ``likely`` says of the view nearest to each candidate of all items, one after the other."""
+    nearest = (pose.view.flatten(1) @ space.view_matrices.flatten(1).T).argmax(1).view(-1, len(likely))
+    return likely.gather(1, nearest.T).T.flatten()
 
 
 def _best_apart(pose: ObjectPose, cost: Float[Tensor, "candidates items"], most: int) -> ViewHypotheses:
@@ -158,46 +205,75 @@ def _best_apart(pose: ObjectPose, cost: Float[Tensor, "candidates items"], most:
     return ViewHypotheses(*(part[index] for part in pose), weight)
 
 
-def _refined(
-    space: ShapeSpace, state: _State, target: Tensor, steps: int, temperature: float = _TEMPERATURE
-) -> tuple[_State, Float[Tensor, " items"]]:
+def refined(
+    space: ShapeSpace,
+    state: State,
+    target: Tensor,
+    steps: int,
+    temperature: float = _TEMPERATURE,
+    *,
+    group: Int[Tensor, " items"] | None = None,
+    still: bool = False,
+) -> tuple[State, Float[Tensor, " items"]]:
     """Return code and pose after ``steps`` of Adam on the posterior, and its negative logarithm.
 
-    There may be several states of each target, one after the other.
+    There may be several states of each target, one after the other. With ``group`` the state has one code for each
+    group, and ``group`` says which each pose goes with; ``still`` codes stay as they are.
     """
-    target = target.repeat(len(state.code) // len(target), 1, 1)
-    code = state.code.clone().requires_grad_()
+    target = target.repeat(len(state.pose.scale) // len(target), 1, 1)
+    code = state.code.clone().requires_grad_(not still)
     pose = ObjectPose(*(part.clone().requires_grad_() for part in state.pose))
-    groups = [{"params": [code], "lr": _RATES["code"]}]
+    groups = [] if still else [{"params": [code], "lr": _RATES["code"]}]
     groups += [
         {"params": [part], "lr": _RATES[name]} for name, part in pose._asdict().items() if name != "roll" or space.rolls
     ]
     optimizer = torch.optim.Adam(groups)
     stream = torch.Generator(code.device).manual_seed(0)
     for _ in range(steps):
-        noise = torch.randn(code.shape[1], generator=stream, device=code.device)  # of all items: each is lifted for itself
+        noise = torch.randn(
+            code.shape[1], generator=stream, device=code.device
+        )  # of all items: each is lifted for itself
         with torch.enable_grad():
             at = code + noise * state.deviation * _SPREAD
-            cost = _cost(space, at, code, pose, target, temperature).sum()
+            cost = _cost(space, at, code, pose, target, temperature, group).sum()
         optimizer.zero_grad()
         cost.backward()
         optimizer.step()
     with torch.no_grad():
-        cost = _cost(space, code, code, pose, target, temperature)
-    return _State(code.detach(), state.deviation, pose.detached()), cost
+        cost = _cost(space, code, code, pose, target, temperature, group)
+    return State(code.detach(), state.deviation, pose.detached()), cost
 
 
 def _cost(
-    space: ShapeSpace, at: Tensor, code: Tensor, pose: ObjectPose, target: Tensor, temperature: float
+    space: ShapeSpace,
+    at: Tensor,
+    code: Tensor,
+    pose: ObjectPose,
+    target: Tensor,
+    temperature: float,
+    group: Tensor | None,
 ) -> Float[Tensor, " items"]:
-    seen = space.seen(space.logits(at), pose, target.shape[-1]).clamp(_SURE, 1 - _SURE)
+    logits, unlikely = space.logits(at), 0.5 * code.square().sum(1)
+    if group is not None:
+        logits, unlikely = logits[group], (unlikely / group.bincount(minlength=len(code)))[group]
+    seen = space.seen(logits, pose, target.shape[-1]).clamp(_SURE, 1 - _SURE)
     error = binary_cross_entropy(seen, target, reduction="none").mean((1, 2))
-    return error / temperature + 0.5 * code.square().sum(1) + space.elevation_cost(pose.elevation)
+    return error / temperature + unlikely + space.elevation_cost(pose.elevation)
 
 
 @torch.no_grad()
-def _expected(space: ShapeSpace, state: _State, masks: Tensor, resolution: int) -> LiftedShapes:
-    """Return mean and standard deviation of occupancy over samples of the code, carved by the masks."""
+def expected_shapes(
+    space: ShapeSpace,
+    state: State,
+    masks: Tensor,
+    resolution: int,
+    chosen: Chosen,
+    group: Int[Tensor, " items"] | None = None,
+) -> LiftedShapes:
+    """Return mean and standard deviation of occupancy over samples of the code, carved by the masks, in the named frame.
+
+    With ``group`` (as `refined` has it) the masks of a group carve its shape together.
+    """
     stream = torch.Generator(masks.device).manual_seed(1)
     total = squares = torch.zeros(())
     for _ in range(_SAMPLES):
@@ -205,14 +281,28 @@ def _expected(space: ShapeSpace, state: _State, masks: Tensor, resolution: int) 
         logits = space.logits(state.code + noise * state.deviation * _SPREAD)
         if resolution != space.detail:
             logits = nn.functional.interpolate(logits[:, None], (resolution,) * 3, mode="trilinear")[:, 0]
-        sample = torch.sigmoid(logits)
+        sample = torch.sigmoid(turned_grids(logits, space.front))
         total, squares = total + sample / _SAMPLES, squares + sample.square() / _SAMPLES
-    pose, distance = state.pose, space.settings.distance * state.pose.scale
-    found = LiftedShapes(
-        total, (squares - total.square()).clamp_min(0).sqrt(), pose.view, pose.scale, pose.offset, distance
-    )
+    deviation = (squares - total.square()).clamp_min(0).sqrt()
+    if group is not None:
+        total, deviation = total[group], deviation[group]
+    pose, distance, back = state.pose, space.settings.distance * state.pose.scale, space.front.mT
+    chosen = chosen._replace(second_view=chosen.second_view @ back)
+    found = LiftedShapes(total, deviation, pose.view @ back, pose.scale, pose.offset, distance, *chosen)
     kept = _carved(found, masks, symmetric=space.settings.symmetric)
+    if group is not None:
+        kept = of_groups(kept, group, "amin")
     return LiftedShapes(**{**vars(found), "occupancy": found.occupancy * kept, "uncertainty": found.uncertainty * kept})
+
+
+def of_groups(
+    grids: Float[Tensor, "items depth height width"], group: Int[Tensor, " items"], how: str
+) -> Float[Tensor, "items depth height width"]:
+    """Return for each item the ``amin`` or ``amax`` of the grids of its group."""
+    flat = grids.flatten(1)
+    found = flat.new_zeros(int(group.max()) + 1, flat.shape[1])
+    found = found.scatter_reduce(0, group[:, None].expand_as(flat), flat, how, include_self=False)
+    return found[group].view_as(grids)
 
 
 # Carving by the mask, and the iso threshold.

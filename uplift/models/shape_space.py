@@ -57,11 +57,14 @@ class ShapeSpace(nn.Module):
         )
         self.last = _last_layer(hidden, detail or settings.detail, settings.symmetric)
         self.register_buffer("level", torch.tensor(0.3))
+        self.register_buffer("front", torch.eye(3))
 
     views: Tensor
     """(views, 3): azimuth, elevation and roll of the views that `view_head` chooses among."""
     level: Tensor
     """Iso threshold: the occupancy at which the surface of lifted shapes is."""
+    front: Tensor
+    """(3, 3): rotation from the frame that shapes are learned in to that of lifted shapes (`uplift.models.front`)."""
 
     @property
     def detail(self) -> int:

@@ -12,7 +12,7 @@ from torch.nn.functional import grid_sample
 
 from uplift.geometry.rotation import about_y, about_z, level
 
-__all__ = ["DENSITY", "ObjectPose", "angles_of", "silhouettes"]
+__all__ = ["DENSITY", "ObjectPose", "angles_of", "silhouettes", "view_of"]
 
 DENSITY = 1.3
 """Density of a voxel per nat of its logit: a full one is nearly opaque."""
@@ -38,7 +38,7 @@ class ObjectPose(NamedTuple):
     @property
     def view(self) -> Float[Tensor, "items 3 3"]:
         """Rotations from the shape frame to the camera's."""
-        return about_z(self.roll) @ level(self.elevation).mT @ about_y(self.azimuth)
+        return view_of(self.azimuth, self.elevation, self.roll)
 
     @property
     def mirrored(self) -> ObjectPose:
@@ -66,6 +66,13 @@ class ObjectPose(NamedTuple):
     def detached(self) -> ObjectPose:
         """Return the same pose without gradient."""
         return ObjectPose(*(part.detach() for part in self))
+
+
+def view_of(
+    azimuth: Float[Tensor, " items"], elevation: Float[Tensor, " items"], roll: Float[Tensor, " items"]
+) -> Float[Tensor, "items 3 3"]:
+    """Return rotations from the shape frame to the camera's: the inverse of `angles_of`."""
+    return about_z(roll) @ level(elevation).mT @ about_y(azimuth)
 
 
 def angles_of(view: Float[Tensor, "items 3 3"]) -> tuple[Tensor, Tensor, Tensor]:

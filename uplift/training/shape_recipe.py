@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from itertools import accumulate
 from operator import mul
 
 import numpy as np
+import torch
+from jaxtyping import Float
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+from torch import Tensor
 
+from uplift.config.progress import say
 from uplift.config.run import RunFolder
 from uplift.config.settings import Settings, ShapeSettings
 from uplift.data.module import MaskDataModule
+from uplift.data.views import KnownViews, write_views
 from uplift.errors import UserError
+from uplift.models.front import front_of_views
 from uplift.models.model import ShapeModel, load_shapes
+from uplift.models.prediction import view_angles_deg
 from uplift.models.shape_lifter import choose_iso_threshold
 from uplift.models.shape_space import ShapeSpace
+from uplift.models.silhouettes import angles_of, view_of
 from uplift.training.base import plain_settings
 from uplift.training.mixture import MixtureModule
-from uplift.training.shapes import ShapeModule
+from uplift.training.shapes import MaskPoses, ShapeModule
 from uplift.training.stages import Recipe, module_class
 
 __all__ = ["ShapeRecipe"]
@@ -42,6 +52,7 @@ class ShapeRecipe(Recipe):
     def __init__(self, settings: Settings, data: MaskDataModule):
         super().__init__(settings)
         self.data, shape = data, settings.shape
+        self.known = _known_views(settings, data)
         self.start = _start_from(settings.init, shape) if settings.init else None
         count = len(data.masks)
         self.splits = _worth_it(shape, count) if self.start is None else []
@@ -95,7 +106,25 @@ class ShapeRecipe(Recipe):
         model, count = module.model(), len(self.data.masks)
         masks = self.data.masks.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
         model.lifter.level.fill_(choose_iso_threshold(model.lift(masks).occupancy))
+        if self.known is not None:
+            self._face(model, module.poses.best.view.cpu())
+        if rank_zero_only.rank == 0:
+            write_views(run.path / VIEWS, self.data.masks.names, _view_columns(module.poses, model.lifter.front.cpu()))
         return model
+
+    def _face(self, model: ShapeModel, found: Float[Tensor, "items 3 3"]) -> None:
+        """Name the front of shapes by the known views of some masks, and say how many of these agree."""
+        assert self.known is not None
+        found, settings = found[self.known.rows], model.settings
+        given = torch.from_numpy(self.known.angles_deg).float().deg2rad()
+        own = torch.stack(angles_of(found), 1)
+        angles = torch.cat([given[:, :1], own[:, 1:]], 1) if settings.gravity else given
+        known = view_of(*angles.unbind(1))
+        front = front_of_views(found, known, settings)
+        cosine = (((found @ front.mT) * known).sum((1, 2)) - 1) / 2
+        agree, count = int((cosine > math.cos(_AGREES)).sum()), len(found)
+        say(f"front: {agree} of {count} known views agree within {math.degrees(_AGREES):.0f} degrees")
+        model.lifter.front.copy_(front.to(model.lifter.front))
 
     def _find_views(self, run: RunFolder) -> None:
         """Train the mixture, which the first space then starts from."""
@@ -105,6 +134,33 @@ class ShapeRecipe(Recipe):
             views = views.split(times, seed=self.settings.seed + number)
             self.stage(run, f"views_{number + 1}", views, self.data, _VIEW_MASKS)
         self.module.starts_from(views)
+
+
+VIEWS = "views.csv"
+"""In a run: the views of its training masks."""
+_AGREES = math.radians(30)
+
+
+def _known_views(settings: Settings, data: MaskDataModule) -> KnownViews | None:
+    """Return the views that ``shape.views`` has; raises UserError where labelled masks name the front already."""
+    if settings.shape.views is None:
+        return None
+    if data.masks.labelled is not None and data.masks.labelled.any():
+        raise UserError("shape.views: labelled masks say already which side is the front, that of their true shapes.")
+    return KnownViews.read(settings.shape.views, data.masks.names, all_angles=not settings.shape.gravity)
+
+
+def _view_columns(poses: MaskPoses, front: Float[Tensor, "3 3"]) -> dict[str, np.ndarray]:
+    """Return the views of training masks, in degrees, with the probability of each and the second likeliest."""
+    order = poses.weight.argsort(1, descending=True)
+    columns: dict[str, np.ndarray] = {}
+    for rank, prefix in enumerate(("", "second_")):
+        pose = poses.ranked(order[:, rank])
+        angles = view_angles_deg((pose.view.cpu() @ front.mT).numpy())
+        names = (f"{prefix}{name}_deg" for name in ("azimuth", "elevation", "roll"))
+        columns |= dict(zip(names, angles, strict=True))
+        columns[f"{prefix}probability"] = poses.weight.gather(1, order[:, rank, None])[:, 0].cpu().numpy()
+    return columns
 
 
 _VIEWS, _COARSE, _ROUND, _FINE = (3.0, 0.5), (5.0, 2.0), (1.6, 2.0), (4.0, 5.0)
