@@ -254,7 +254,7 @@ def test_a_critic_is_held_still_while_it_judges() -> None:
 def test_cut_outs_have_their_box_in_the_middle() -> None:
     image = torch.zeros(3, 48, 48)
     image[0, 10:30, 20:28], image[1, 5:15, 5:45] = 1, 1
-    cut = cut_out(image)
+    cut, half, middle = cut_out(image)
     for one, (height, width) in zip(cut[:2], ((20, 8), (10, 40)), strict=True):
         rows, columns = ((one > 0.4).any(axis).nonzero()[:, 0] for axis in (1, 0))
         size = [int(at[-1] - at[0]) + 1 for at in (rows, columns)]
@@ -262,6 +262,10 @@ def test_cut_outs_have_their_box_in_the_middle() -> None:
         assert size[0] / size[1] == pytest.approx(height / width, rel=0.2)
         assert [float(at[0] + at[-1]) / 2 for at in (rows, columns)] == pytest.approx([23.5, 23.5], abs=1.5)
     assert not cut[2].any()
+    # What was in the middle of the box is now in that of the image.
+    expected = [[(23.5 * 2 + 1) / 48 - 1, (19.5 * 2 + 1) / 48 - 1], [(24.5 * 2 + 1) / 48 - 1, (9.5 * 2 + 1) / 48 - 1]]
+    assert torch.allclose(middle[:2], torch.tensor(expected), atol=1e-5)
+    assert half[:2].tolist() == pytest.approx([20 / 48 / FILL, 40 / 48 / FILL], rel=0.06)
 
 
 def test_only_masks_of_symmetric_shapes_are_mirrored() -> None:
