@@ -37,7 +37,7 @@ def test_an_old_file_of_keypoints(version: int, tmp_path: Path) -> None:
 
 
 def test_an_old_file_of_masks_is_refused() -> None:
-    with pytest.raises(UserError, match="uplift_format is 1, .*expected 2"):
+    with pytest.raises(UserError, match="uplift_format is 1 and it lifts masks, expected 2. Fit again"):
         uplift.load(MIXTURE)
 
 

@@ -27,13 +27,13 @@ from uplift.models.shape_lifter import LiftedShapes, choose_iso_threshold, fill_
 from uplift.models.silhouettes import ObjectPose
 from uplift.models.view_hypotheses import ViewHypotheses
 
-R = 16
+R, COUNT = 24, 14
 
 
 @pytest.fixture(scope="module")
 def model() -> ShapeModel:
     """Return a model that knows two chairs, of seeds 0 and 4."""
-    space = known_space()
+    space = known_space(detail=R, pixels=24, resolution=R)
     return ShapeModel(space, space.settings)
 
 
@@ -41,7 +41,7 @@ def model() -> ShapeModel:
 def data() -> MaskData:
     """Return masks of both of them."""
     views = ViewChoice(elevation_mean_deg=20, elevation_sd_deg=4)
-    return simulate_masks([chair(0), chair(4)], 24, seed=1, side=48, views=views)
+    return simulate_masks([chair(0), chair(4)], COUNT, seed=1, side=48, views=views)
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +209,7 @@ def test_views_are_picked_by_what_explains_the_mask(picked: ViewHypotheses, data
     views = ObjectPose(*(part.flatten(0, 1) for part in picked.poses)).view.view(len(data), 3, 3, 3)
     best = angles_between(views[:, 0], true_views(data))
     assert float((best < 15).float().mean()) > 0.8
-    assert torch.equal(picked.weight[:, 0], torch.ones(len(data)))
+    assert torch.equal(picked.weight[:, 0], torch.ones(COUNT))
     assert bool((picked.weight.diff(dim=1) <= 1e-6).all()), "the likeliest first"
     for one, other in ((0, 1), (0, 2), (1, 2)):
         apart = angles_between(views[:, one], views[:, other])
@@ -226,14 +226,14 @@ def test_views_that_were_known_are_kept_and_wrong_ones_found_out(
     back = true._replace(azimuth=true.azimuth + torch.pi)
     before = ViewHypotheses(
         *(torch.stack([wrong, right], 1) for wrong, right in zip(back, true, strict=True)),
-        torch.tensor([[0.9, 0.1]] * 24),
+        torch.tensor([[0.9, 0.1]] * COUNT),
     )
     # Without any views of its own the space can still tell which of the two it is.
     monkeypatch.setattr(model.lifter, "view_logits", lambda features: torch.zeros(len(features), 24))
     found = pick_views(model.lifter, torch.from_numpy(data.masks), before, 2)
     best = ObjectPose(*(part[:, 0] for part in found.poses)).view
     assert float((angles_between(best, true.view) < 15).float().mean()) > 0.85
-    assert before.weight.shape == found.weight.shape == (24, 2)
+    assert before.weight.shape == found.weight.shape == (COUNT, 2)
 
 
 def rays_of(lifted: LiftedShapes) -> np.ndarray:
@@ -297,7 +297,7 @@ def test_a_prediction_is_what_was_lifted_with_its_rays_filled(model: ShapeModel,
     some = data.select(np.arange(3))
     found = model.predict(some, "chairs", refine=2)
     lifted = model.lift(some.masks, refine=2)
-    assert found.occupancy.shape == (3, 16, 16, 16)
+    assert found.occupancy.shape == (3, R, R, R)
     assert found.uncertainty is not None
     assert found.uncertainty.shape == found.occupancy.shape
     assert found.occupancy.max() <= 1

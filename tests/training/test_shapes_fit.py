@@ -177,7 +177,7 @@ def test_a_prior_of_ones_own(fitted: tuple[Path, ShapeModel], here: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("Wrong", "priors.mine: loss.lift. returned shape .1,.*expected one number"),
+        ("Wrong", "priors.mine: loss.lift. returned shape .8,.*expected one number"),
         ("Breaks", r"priors.mine: .*loss failed in .*my.py, line 29: AttributeError"),
         ("Unready", r"must call super\(\).__init__\(\) first"),
         ("Absent", "no class 'Absent'"),

@@ -336,9 +336,15 @@ class ShapeModule(TrainingModule[ShapeSpace, MaskSet]):
 
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return the optimiser's groups: the networks', one for each kind of pose parameter, and the priors'."""
-        # Without momentum a mask that is not in a step does not move.
+        # Without momentum and decay a mask that is not in a step does not move.
         poses = [
-            {"params": [getattr(self.poses, name)], "lr": rate, "betas": (0.0, 0.99), "name": f"pose_{name}"}
+            {
+                "params": [getattr(self.poses, name)],
+                "lr": rate,
+                "betas": (0.0, 0.99),
+                "weight_decay": 0.0,
+                "name": f"pose_{name}",
+            }
             for name, rate in _POSE_RATES.items()
             if getattr(self.poses, name).requires_grad
         ]
