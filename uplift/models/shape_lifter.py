@@ -128,9 +128,11 @@ def target_of(masks: Tensor, side: int) -> Tensor:
     return nn.functional.interpolate(masks[:, None], (side, side), mode="area")[:, 0]
 
 
-def first_states(space: ShapeSpace, features: Tensor) -> tuple[State, Float[Tensor, "items views"]]:
+def first_states(
+    space: ShapeSpace, features: Tensor, likely: Float[Tensor, "items views"] | None = None
+) -> tuple[State, Float[Tensor, "items views"]]:
     """Return the likeliest views that are apart, of all masks one after the other, and the log probability of all views."""
-    likely = space.view_logits(features).log_softmax(1)
+    likely = space.view_logits(features).log_softmax(1) if likely is None else likely
     views = space.view_matrices.flatten(1)
     apart = ((views @ views.T - 1) / 2) < math.cos(_APART)
     states, left = [], likely
