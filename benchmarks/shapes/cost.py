@@ -11,19 +11,25 @@ import resource
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from benchmarks.common import facts, measure_apart
 from benchmarks.shapes.fits import TASK
+from uplift.config.loading import load_settings
+from uplift.config.settings import Settings
+from uplift.data.module import MaskDataModule
 from uplift.errors import UserError
+from uplift.training.base import plain_settings
+from uplift.training.mixture import MixtureModule
+from uplift.training.shapes import ShapeModule
+from uplift.training.stages import StageBudget, run_stage
 
 __all__ = ["RESOLUTIONS", "measure", "measured_apart"]
 
 RESOLUTIONS = (16, 24, 32, 48, 64)
 _MASKS = 400
-_SHAPES = 64
 _WARM_UP = 6
 _GB = 1e9
 
@@ -42,13 +48,12 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
     """
     import torch
 
-    from uplift.config.loading import load_settings
+    from uplift.data.load_masks import load_masks
 
     words = [
         f"shape.resolution={resolution}",
         f"shape.detail={resolution}",
-        f"shape.parts={_SHAPES}",
-        "shape.splits=[]",
+        f"shape.pixels={max(24, 3 * resolution // 4)}",
         f"data.simulate={_MASKS}",
         "trainer.max_time=null",
     ]
@@ -57,13 +62,14 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
     if settings.trainer.threads:
         torch.set_num_threads(settings.trainer.threads)
     before = _peak_bytes()
-    few = _seconds(settings)
-    many = _seconds(replace(settings, trainer=replace(settings.trainer, max_steps=_WARM_UP + steps)))
+    data = MaskDataModule.of(load_masks(settings), settings)
+    few, many = (_seconds(settings, data, count) for count in (_WARM_UP, _WARM_UP + steps))
     return {
         "resolution": resolution,
+        "pixels": settings.shape.pixels,
         "steps": steps,
         "threads": torch.get_num_threads(),
-        "shapes": settings.shape.parts,
+        "batch": settings.teacher.batch_size,
         "masks": settings.data.simulate,
         "seconds_per_step": round((many - few) / steps, 4),
         "peak_gb": round(_peak_bytes() / _GB, 3),
@@ -71,19 +77,17 @@ def measure(resolution: int, steps: int, threads: int | None = None, task: str =
     }
 
 
-def _seconds(settings: Any) -> float:
-    """Train, and return the seconds without what came before the first step."""
-    from uplift.config.run import RunFolder
-    from uplift.data.load_masks import load_masks
-    from uplift.data.module import MaskDataModule
-    from uplift.training.shape_recipe import ShapeRecipe
-
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), contextlib.redirect_stdout(sys.stderr):
-        data = MaskDataModule.of(load_masks(settings), settings)
-        run = RunFolder.create(settings, "python -m benchmarks.shapes cost")
-        recipe = ShapeRecipe(settings, data)
-        recipe.train(RunFolder(Path(run.path).absolute()))
-    return sum(recipe.spent.values())
+def _seconds(settings: Settings, data: MaskDataModule, steps: int) -> float:
+    """Train the last stage for so many steps, and return the seconds of the trainer."""
+    module = ShapeModule(
+        MixtureModule(shape=asdict(settings.shape)), shape=asdict(settings.shape), **plain_settings(settings.teacher)
+    )
+    data.batch_size = settings.teacher.batch_size
+    module.prepare(data)
+    budget = StageBudget(steps, None)
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
+        (Path(folder) / "checkpoints").mkdir()
+        return run_stage("fine", module, data, settings.trainer, budget, Path(folder)).spent
 
 
 def _peak_bytes() -> int:

@@ -46,6 +46,8 @@ COMMANDS = ("demo", "families", "twin", "semi", "animals", "modelnet")
 """The commands that fit; `cost` measures steps, `ceiling` trains the supervised network."""
 
 
+_LABELLED = (0.02, 0.1)
+"""Shares of the shapes that are known; each also without the other masks."""
 HELD_OUT = ("Cow", "ShibaInu")
 """Species of the test, as in the keypoints of `quadruped`."""
 PARTS = ("items", "overall", "floors", "per_category", "notes")
@@ -99,7 +101,11 @@ def cells_of(command: str, seeds: Sequence[int], minutes: float | None = None) -
         "demo": [("demo", TASK, ())],
         "families": [(f"family_{family}", TASK, (f"data.family={family}",)) for family in FAMILIES],
         "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true"))],
-        "semi": [("semi", "masks_semi", ())],
+        "semi": [
+            (f"semi_{100 * share:g}%{only}", "masks_semi", (f"data.labelled.fraction={share}", *words))
+            for share in _LABELLED
+            for only, words in (("", ()), ("_only", ("data.labelled.only=true",)))
+        ],
         "animals": [("animals", "masks_animals", ())],
         "modelnet": [(f"modelnet_{category}", TASK, ()) for category in MODELNET],
     }[command]

@@ -14,7 +14,8 @@ __all__ = ["ceiling_sheets", "cost_sheet", "sheets_of"]
 
 _BESIDE = ("silhouette_iou_unseen", "f_score", "volume_iou")
 _ALONE = (
-    "chamfer", "volume_iou_aligned", "silhouette_iou_seen", "normal_consistency", "handedness", "views_within_20", "azimuth_deg",
+    "chamfer", "volume_iou_aligned", "silhouette_iou_seen", "normal_consistency", "handedness", "views_within_20", "train_views_within_20",
+    "azimuth_deg",
 )  # fmt: skip
 _LEADING = ("silhouette_iou_unseen", "f_score", "chamfer", "volume_iou", "volume_iou_aligned")
 _OF_FLOORS = (*_LEADING, "silhouette_iou_seen", "handedness")

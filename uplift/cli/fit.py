@@ -165,7 +165,7 @@ def _keep(run: RunFolder, model: Any, fit: Prepared) -> None:
         model.save(run.weights)
         run.link_last()
     with ranks.work_shared():
-        found = KINDS[fit.settings.lifts].report(model, fit.settings, fit.loaded)
+        found = KINDS[fit.settings.lifts].report(model, fit.settings, fit.loaded, fit.recipe)
     if first:
         took = Training(fit.recipe.spent, fit.recipe.steps, fit.recipe.idle_priors)
         report(run, found, fit.settings, fit.loaded, took)

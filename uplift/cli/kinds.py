@@ -35,7 +35,7 @@ class Kind:
     fit: Later
     """(settings, run to resume or None) -> `uplift.cli.fit.Prepared`."""
     report: Later
-    """(model, settings, loaded data) -> `uplift.cli.report.Findings`."""
+    """(model, settings, loaded data, recipe that was trained) -> `uplift.cli.report.Findings`."""
     evaluate: Later
     """(`uplift.config.run.Weights`, model, test file or None, options among `evaluate_keys`) -> evaluation."""
     predict: Later

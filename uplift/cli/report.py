@@ -28,17 +28,22 @@ from uplift.metrics.protocols import (
     metric_better,
     metric_label,
     metric_meaning,
+    metric_order,
     metric_unit,
 )
 from uplift.metrics.report import AnyEvaluation, Evaluation
 from uplift.metrics.scores import GivenPoses
+from uplift.metrics.view_errors import WITHIN_DEG, view_errors_deg
 from uplift.training.callbacks import read_metrics
 
 if TYPE_CHECKING:
     from uplift.data.load import Loaded
     from uplift.data.load_masks import LoadedMasks
+    from uplift.data.masks import MaskData
     from uplift.data.poses import PoseData
     from uplift.models.model import Model, ShapeModel
+    from uplift.training.shape_recipe import ShapeRecipe
+    from uplift.training.stages import Recipe
 
 __all__ = ["Findings", "Training", "pose_findings", "report", "shape_findings"]
 
@@ -249,7 +254,7 @@ _POSES = _Words(
 _HEADLINES = ("mpjpe", "p_mpjpe", "n_mpjpe", "mpjpe_gt_scale", "facing", "facing_sign", "elevation_deg")
 
 
-def pose_findings(model: Model, settings: Settings, loaded: Loaded) -> Findings:
+def pose_findings(model: Model, settings: Settings, loaded: Loaded, recipe: Recipe | None = None) -> Findings:
     """Return what a fit of keypoints reports."""
     test = loaded.test
     data = test if test is not None else loaded.train.without_truth()
@@ -339,7 +344,9 @@ _SCORES = {
 }
 
 
-def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -> Findings:
+def shape_findings(
+    model: ShapeModel, settings: Settings, loaded: LoadedMasks, recipe: ShapeRecipe | None = None
+) -> Findings:
     """Return what a fit of masks reports."""
     title = f"{settings.task or 'own data'}: shapes from masks"
     given = _given_to_shapes(settings, loaded)
@@ -349,6 +356,9 @@ def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -
         shown = model.predict(data.select(np.arange(count) * len(data) // count), title)
         return Findings(_SHAPES, given, partial(write_shape_page, shown), given[:1])
     test, prediction, found = score_shapes(model, loaded.test, loaded.train, title)
+    if recipe is not None and (share := _views_found(recipe, loaded.train)) is not None:
+        found.overall["train_views_within_20"] = share
+        found.overall = dict(sorted(found.overall.items(), key=lambda one: metric_order(one[0])))
     scores = {name: found.per_item[key] for name, key in _SCORES.items() if key in found.per_item}
     return Findings(
         _SHAPES,
@@ -360,6 +370,17 @@ def shape_findings(model: ShapeModel, settings: Settings, loaded: LoadedMasks) -
         names=[name for name in found.overall if not name.startswith(BEST_BASELINE)],
         baselines=found.baselines,
     )
+
+
+def _views_found(recipe: ShapeRecipe, train: MaskData) -> float | None:
+    """Return the share of the unlabelled training masks whose view was found, where their truth is known."""
+    if train.truth is None or recipe.training_views is None or not np.isfinite(train.truth.view).all():
+        return None
+    rows = np.ones(len(train), bool) if train.labelled is None else ~train.labelled
+    if len(recipe.training_views) != len(train) or not rows.any():
+        return None
+    errors = view_errors_deg(recipe.training_views[rows], np.asarray(train.truth.view[rows], np.float64))
+    return None if errors is None else float((errors <= WITHIN_DEG).mean())
 
 
 def _given_to_shapes(settings: Settings, loaded: LoadedMasks) -> list[str]:

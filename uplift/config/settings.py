@@ -262,7 +262,7 @@ class ShapeSettings:
         0.04, "temperature at the start of the later stages that find views", low=1e-4, high=10
     )
     temperature_end: float = _setting(0.02, "temperature from four fifths of such a stage on", low=1e-4, high=10)
-    rounds: int = _setting(5, "times that views are looked for again with the space of shapes", low=0, high=100)
+    rounds: int = _setting(4, "times that views are looked for again with the space of shapes", low=0, high=100)
     views: Optional[str] = _setting(
         None, "table of the known views of a few training masks, name and azimuth_deg: they say which side is the front"
     )

@@ -60,6 +60,9 @@ SHAPE_METRICS = {
         "share", "higher", "shapes nearer to the truth than to its mirror image in depth; chance is 0.5"
     ),
     "views_within_20": Metric("share", "higher", "views within 20 degrees, after the common turn that makes most so"),
+    "train_views_within_20": Metric(
+        "share", "higher", "the same share of the training masks, as a fit found their views"
+    ),
     "azimuth_deg": Metric("deg", "lower", "median error of the view about gravity, after this turn"),
     "rotation_deg": Metric("deg", "lower", "median error of the view without gravity, after this turn"),
     "elevation_deg": _ELEVATION,

@@ -338,19 +338,44 @@ def _sample(image: Tensor, points: Tensor) -> Tensor:
     return nn.functional.grid_sample(image[:, None], points[:, :, None], align_corners=False)[:, 0, :, 0]
 
 
-_THRESHOLDS = (0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.18, 0.22, 0.26, 0.3, 0.35, 0.4, 0.45, 0.5)
+_THRESHOLDS = (
+    0.04,
+    0.06,
+    0.08,
+    0.1,
+    0.12,
+    0.15,
+    0.18,
+    0.2,
+    0.22,
+    0.24,
+    0.26,
+    0.28,
+    0.3,
+    0.32,
+    0.34,
+    0.36,
+    0.38,
+    0.4,
+    0.45,
+    0.5,
+)
+
+
+_NEARLY = 0.985
+"""Of the best expected overlap. Of thresholds that are as good, the lowest keeps most of what is thin."""
 
 
 def choose_iso_threshold(occupancy: Float[Tensor, "items depth height width"]) -> float:
-    """Return the threshold with the best expected IoU if occupancies are probabilities, chosen without any true shape."""
-    flat = occupancy.flatten(1)
-    expected = []
+    """Return the lowest threshold with nearly the best expected IoU if occupancies are probabilities, without any true shape."""
+    flat, expected = occupancy.flatten(1), []
     for threshold in _THRESHOLDS:
         inside = flat > threshold
         shared = (flat * inside).sum(1)
         either = inside.sum(1) + (flat * ~inside).sum(1)
         expected.append(float((shared / either.clamp_min(1e-6)).mean()))
-    return _THRESHOLDS[max(range(len(expected)), key=expected.__getitem__)]
+    enough = _NEARLY * max(expected)
+    return next(threshold for threshold, overlap in zip(_THRESHOLDS, expected, strict=True) if overlap >= enough)
 
 
 _RAYS = 32

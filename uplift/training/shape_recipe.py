@@ -68,6 +68,8 @@ class ShapeRecipe(Recipe):
             seed=settings.seed,
             **given,
         )
+        self.training_views: np.ndarray | None = None
+        """Rotations (items 3 3) of the training masks' shapes to their cameras, once they are found."""
         self.notes += [*self.module.notes, *self._described(shape)]
 
     def _shares(self) -> dict[str, float]:
@@ -100,6 +102,7 @@ class ShapeRecipe(Recipe):
             last = settings.teacher.decay_from
             module = module.go_on(settings.shape.detail, seed=settings.seed + len(coarse), decay_from=last)
         self.stage(run, "fine", module, self.data, settings.teacher.batch_size)
+        self.training_views = module.poses.best.view.double().cpu().numpy()
         model, count = module.model(), len(self.data.masks)
         masks = self.data.masks.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
         model.lifter.level.fill_(choose_iso_threshold(model.lift(masks).occupancy))
@@ -160,7 +163,7 @@ def _view_columns(poses: MaskPoses, front: Float[Tensor, "3 3"]) -> dict[str, np
     return columns
 
 
-_VIEWS, _COARSE, _ROUND, _FINE = (3.0, 0.5), (3.0, 1.0), (1.5, 2.0), (4.0, 5.0)
+_VIEWS, _COARSE, _ROUND, _FINE = (3.0, 0.5), (5.0, 2.0), (1.6, 2.0), (4.0, 5.0)
 """Shares of stages, of steps and of time: a step at a fine grid takes twenty times as long as one of the mixture."""
 
 

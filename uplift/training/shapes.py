@@ -112,7 +112,7 @@ _TEMPERATURE = 0.0012
 """Of the likelihood: mean cross-entropy of a pixel per nat of the code."""
 _SURE = 0.005
 """Bound of the opacity of a pixel, so that no mask is impossible."""
-_PLACE_WEIGHT, _CYCLE_WEIGHT, _KNOWN_WEIGHT = 10.0, 0.3, 1.0
+_PLACE_WEIGHT, _CYCLE_WEIGHT, _TURNED_WEIGHT, _KNOWN_WEIGHT = 10.0, 0.3, 1.0, 1.0
 _KNOWN_TEMPERATURE = 0.0015
 """Mean cross-entropy of a voxel of a known shape per nat of the code."""
 _KNOWN_SHARE = 4
@@ -372,8 +372,8 @@ class ShapeModule(TrainingModule[ShapeSpace, MaskSet]):
         logged: Logged = {"silhouettes": error.detach(), "code": spread.detach()}
         if self.global_step % 2 and (not self.first or self.done > _CYCLE_FROM):
             turned, other = self._turned(logits, pose.detached())
-            cycle = self._cycle_loss(code.detach(), turned.detach(), other)
-            loss, logged["cycle"] = loss + _CYCLE_WEIGHT * cycle, cycle.detach()
+            cycle, heads = self._cycle_loss(code.detach(), turned.detach(), other)
+            loss, logged["cycle"] = loss + _CYCLE_WEIGHT * cycle + _TURNED_WEIGHT * heads, cycle.detach()
             loss, logged = self._judged(
                 loss, logged, ShapeLift.of(logits, _smaller(turned, self.pixels), target, pose, self.done)
             )
@@ -414,13 +414,21 @@ class ShapeModule(TrainingModule[ShapeSpace, MaskSet]):
         other = other._replace(scale=pose.scale, offset=torch.zeros_like(pose.offset))
         with torch.set_grad_enabled(bool(self.terms.priors)):
             seen = self.lifter.seen(logits, other, self.pixels)
-            return cut_out(interpolate(seen[:, None], (MASK_SIDE,) * 2, mode="bilinear")[:, 0]), other
+            cut, half, middle = cut_out(interpolate(seen[:, None], (MASK_SIDE,) * 2, mode="bilinear")[:, 0])
+        return cut, other._replace(scale=other.scale / half, offset=-middle / half[:, None])
 
-    def _cycle_loss(self, code: Tensor, turned: Tensor, pose: ObjectPose) -> Float[Tensor, ""]:
-        """Return minus the log likelihood of codes as they are encoded from the silhouettes of their shapes."""
-        mean, log_variance = self.lifter.encode(self.lifter.features(turned), pose)
+    def _cycle_loss(
+        self, code: Tensor, turned: Tensor, pose: ObjectPose
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """Return minus the log likelihood of codes as they are encoded from silhouettes of their shapes, and the heads' loss.
+
+        The heads learn from views that are surely right, while some of those of real masks are not.
+        """
+        features = self.lifter.features(turned)
+        mean, log_variance = self.lifter.encode(features, pose)
         log_variance = log_variance.clamp_min(-6)
-        return 0.5 * ((code - mean).square() / log_variance.exp() + log_variance).sum(1).mean()
+        unlike = 0.5 * ((code - mean).square() / log_variance.exp() + log_variance).sum(1).mean()
+        return unlike, self._heads_loss(features, pose)
 
     def _judged(self, loss: Tensor, logged: Logged, lift: ShapeLift) -> tuple[Tensor, Logged]:
         """Return the loss and its terms with those of the priors."""
@@ -429,7 +437,8 @@ class ShapeModule(TrainingModule[ShapeSpace, MaskSet]):
         self.last_lift = lift
         judged, losses = self.terms.judge(lift, self.global_step)
         own, critic_losses = self.terms.train_adversaries(lift.masks, lift.reprojected.detach())
-        return loss + judged + own, {**logged, **losses, **critic_losses}
+        # Weights are relative to the mean cross-entropy of a pixel.
+        return loss + judged / _TEMPERATURE + own, {**logged, **losses, **critic_losses}
 
     def _known_loss(self, count: int, warm: float) -> Float[Tensor, ""]:
         """Return the cross-entropy of known shapes, encoded from their masks and from their silhouettes in other poses."""
@@ -454,8 +463,13 @@ def _smaller(masks: Float[Tensor, "items side side"], side: int) -> Float[Tensor
     return interpolate(masks[:, None], (side, side), mode="area")[:, 0]
 
 
-def cut_out(image: Float[Tensor, "items side side"]) -> Float[Tensor, "items side side"]:
-    """Return silhouettes scaled and moved as masks are: the longer side of the box is `FILL` of the image, in its middle."""
+def cut_out(
+    image: Float[Tensor, "items side side"],
+) -> tuple[Float[Tensor, "items side side"], Float[Tensor, " items"], Float[Tensor, "items 2"]]:
+    """Return silhouettes scaled and moved as masks are: the longer side of the box is `FILL` of the image, in its middle.
+
+    Also half the side of what is cut out, and its middle, in half sides of the image.
+    """
     side = image.shape[-1]
     at = (2 * torch.arange(side, device=image.device) + 1) / side - 1
     inside, low, high = image.detach() > 0.4, [], []
@@ -467,4 +481,4 @@ def cut_out(image: Float[Tensor, "items side side"]) -> Float[Tensor, "items sid
     middle = ((torch.stack(low, 1) + torch.stack(high, 1)) / 2).clamp(-0.6, 0.6)
     places = torch.cat([torch.diag_embed(half[:, None].expand(-1, 2)), middle[..., None]], 2)
     grid = nn.functional.affine_grid(places, [len(image), 1, side, side], align_corners=False)
-    return nn.functional.grid_sample(image[:, None], grid, align_corners=False)[:, 0]
+    return nn.functional.grid_sample(image[:, None], grid, align_corners=False)[:, 0], half, middle
