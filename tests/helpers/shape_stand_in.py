@@ -24,10 +24,10 @@ from uplift.metrics.baselines import score_with_baselines, shape_baselines
 from uplift.metrics.shape_metrics import grid_surface, mesh_surface
 from uplift.models import model as model_module
 from uplift.models.front import front_at
-from uplift.models.mixture import ShapeMixture
 from uplift.models.prediction import ShapePrediction
+from uplift.models.shape_space import ShapeSpace
 
-__all__ = ["StandInModel", "stand_in"]
+__all__ = ["StandInModel", "stand_in", "thick_shapes"]
 
 _R = 16
 
@@ -43,7 +43,7 @@ class StandInModel(model_module.ShapeModel):
         front_at(degrees, self.settings)
         return self
 
-    def predict(self, data: MaskData, title: str = "", group: Any = None) -> ShapePrediction:
+    def predict(self, data: MaskData, title: str = "", refine: int | None = None, group: Any = None) -> ShapePrediction:
         """Return every mask extruded."""
         assert data.truth is None
         self.grouped.append(group)
@@ -63,14 +63,14 @@ class StandInModel(model_module.ShapeModel):
     def from_weights(cls, weights: Weights) -> StandInModel:
         """Read it."""
         state = weights.state
-        return cls(_thick(float(state["thick"])), ShapeSettings(**state["settings"]))
+        return cls(thick_shapes(float(state["thick"])), ShapeSettings(**state["settings"]))
 
 
-def _thick(thick: float) -> ShapeMixture:
-    """Return a mixture that stores only the thickness of shapes."""
-    mixture = ShapeMixture(ShapeSettings(detail=4, crop=4, parts=1))
-    mixture.level.fill_(thick)
-    return mixture
+def thick_shapes(thick: float) -> ShapeSpace:
+    """Return a space that stores only the thickness of shapes."""
+    space = ShapeSpace(ShapeSettings(detail=4, code=1, hidden=1))
+    space.level.fill_(thick)
+    return space
 
 
 def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[MaskDataModule]:
@@ -85,7 +85,7 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[MaskDataModu
 
         def __init__(self, settings: Settings, data: MaskDataModule):
             self.settings, self.notes, self.spent = settings, ["a stand-in"], {"guess": 0.5}
-            self.steps, self.idle_priors = {"guess": 2}, {}
+            self.steps, self.idle_priors, self.training_views = {"guess": 2}, {}, None
             given.append(data)
 
         def train(self, run: RunFolder) -> Any:
@@ -94,7 +94,7 @@ def stand_in(patch: pytest.MonkeyPatch, stop: bool = False) -> list[MaskDataModu
             if stop and len(given) == 1:
                 run.link_last()
                 raise KeyboardInterrupt
-            return StandInModel(_thick(0.4), self.settings.shape)
+            return StandInModel(thick_shapes(0.4), self.settings.shape)
 
     module = ModuleType("uplift.training.shape_recipe")
     module.ShapeRecipe = ShapeRecipe  # type: ignore[attr-defined]

@@ -232,7 +232,9 @@ def refined(
     optimizer = torch.optim.Adam(groups)
     stream = torch.Generator(code.device).manual_seed(0)
     for _ in range(steps):
-        noise = torch.randn(code.shape, generator=stream, device=code.device)
+        noise = torch.randn(
+            code.shape[1], generator=stream, device=code.device
+        )  # of all items: each is lifted for itself
         with torch.enable_grad():
             at = code + noise * state.deviation * _SPREAD
             cost = _cost(space, at, code, pose, target, temperature, group).sum()
