@@ -232,7 +232,7 @@ def test_predict_options(run: Path, masks: Path, capsys) -> None:
         (("output=a.glb", "unit=mm"), "does not tell how large"),
         (("output=a.csv", "unit=mm"), "unit= goes with the formats of meshes"),
         (("output=a.csv", "front=90"), "front=90: shapes of this lifter are their own mirror image"),
-        (("output=a.csv", "group=any"), "group=any"),
+        (("output=a.csv", "group=any"), "expected one of all, folder, name"),
         (("output=a.glb", "axes=up"), "axes=up"),
         (("output=a.html", "page=galery"), "Did you mean 'gallery'?"),
         (("output=a.glb", "category=horse"), "no such category"),

@@ -24,8 +24,6 @@ __all__ = ["lift_groups"]
 
 _PART = 50
 """Masks that are refined at a time; the code of a group with more is refined with so many of them, evenly spaced."""
-_MOST_VIEWS = 64
-_NEVER = 1e6
 _ROUNDS = 2
 """Times that views are chosen by the shared code, and the code is found from these views."""
 
@@ -60,8 +58,6 @@ def lift_groups(
     best, chosen = chosen_views(states.pose, cost, count)
     code, deviation = _product(states.pick(best), group)
     for _ in range(_ROUNDS):
-        with torch.no_grad():
-            starts, _ = first_states(space, features, _explained(space, features, code, target, group))
         tried, cost = _in_parts(space, State(code, deviation, starts.pose), target, first, group)
         best, chosen = chosen_views(tried.pose, cost, count)
         pose = tried.pose.pick(best)
@@ -69,25 +65,6 @@ def lift_groups(
             code, deviation = _product(encoded(space, features, pose), group)
     state = _jointly(space, State(code, deviation, pose), target, steps, group)
     return expected_shapes(space, state, masks, resolution, chosen, group)
-
-
-@torch.no_grad()
-def _explained(
-    space: ShapeSpace, features: Tensor, code: Tensor, target: Tensor, group: Tensor
-) -> Float[Tensor, "items views"]:
-    """Return the log probability of masks seen from each of the space's views, where their group's shape is known.
-
-    Of very many views only the likeliest by the view head are looked at.
-    """
-    logits = space.view_logits(features)
-    count = min(_MOST_VIEWS, logits.shape[1])
-    views = logits.topk(count).indices
-    found = torch.full_like(logits, -_NEVER)
-    for number in range(count):
-        pose = space.placed(features, *space.views[views[:, number]].unbind(1))
-        _, cost = _in_parts(space, State(code, torch.zeros_like(code), pose), target, 0, group)
-        found.scatter_(1, views[:, number, None], -cost[:, None])
-    return found
 
 
 def _product(states: State, group: Tensor) -> tuple[Float[Tensor, "groups code"], Float[Tensor, "groups code"]]:

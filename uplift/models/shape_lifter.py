@@ -128,11 +128,9 @@ def target_of(masks: Tensor, side: int) -> Tensor:
     return nn.functional.interpolate(masks[:, None], (side, side), mode="area")[:, 0]
 
 
-def first_states(
-    space: ShapeSpace, features: Tensor, likely: Float[Tensor, "items views"] | None = None
-) -> tuple[State, Float[Tensor, "items views"]]:
+def first_states(space: ShapeSpace, features: Tensor) -> tuple[State, Float[Tensor, "items views"]]:
     """Return the likeliest views that are apart, of all masks one after the other, and the log probability of all views."""
-    likely = space.view_logits(features).log_softmax(1) if likely is None else likely
+    likely = space.view_logits(features).log_softmax(1)
     views = space.view_matrices.flatten(1)
     apart = ((views @ views.T - 1) / 2) < math.cos(_APART)
     states, left = [], likely
@@ -279,7 +277,7 @@ def expected_shapes(
     stream = torch.Generator(masks.device).manual_seed(1)
     total = squares = torch.zeros(())
     for _ in range(_SAMPLES):
-        noise = torch.randn(state.code.shape, generator=stream, device=masks.device)
+        noise = torch.randn(state.code.shape[1], generator=stream, device=masks.device)
         logits = space.logits(state.code + noise * state.deviation * _SPREAD)
         if resolution != space.detail:
             logits = nn.functional.interpolate(logits[:, None], (resolution,) * 3, mode="trilinear")[:, 0]
