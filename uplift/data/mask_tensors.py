@@ -34,7 +34,7 @@ class MaskSet(Samples):
     crops: Float[Tensor, "items side side"]
     """The masks cut out anew."""
     spread: Float[Tensor, "items 2"]
-    masks: UInt8[Tensor, "items side side"]
+    masks: UInt8[Tensor, "items pixels pixels"]
     """The masks as they are in the data, 0..255."""
     labelled: Bool[Tensor, " items"]
     view: Float[Tensor, "items 3 3"]
