@@ -27,7 +27,12 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is not stored yet and print the tables; 1 if something failed."""
     given = _parser().parse_args(arguments)
-    cells = [cell for name in given.commands if name in COMMANDS for cell in cells_of(name, given.seeds, given.minutes)]
+    cells = [
+        cell
+        for name in given.commands
+        if name in COMMANDS
+        for cell in cells_of(name, given.seeds, given.minutes, given.families)
+    ]
     if "modelnet" in given.commands and given.folder is None:
         print("modelnet: skipped, no --folder of ModelNet10 (docs/masks-data.md)", flush=True)
     fitted = [cell for cell in cells if not cell.modelnet or given.folder is not None]
@@ -75,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], metavar="N", help="default 0 1 2")
     parser.add_argument("--minutes", type=float, help="training time, default: the task's")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
-                        help=f"for ceiling, default {' '.join(FAMILIES)}")  # fmt: skip
+                        help=f"for families and ceiling, default {' '.join(FAMILIES)}")  # fmt: skip
     parser.add_argument("--seconds", type=float, default=150, help="CPU time of ceiling's training, default 150")
     parser.add_argument("--folder", type=Path, help="of ModelNet10, for modelnet")
     parser.add_argument("--runs", type=_folder, metavar="FOLDER", help="keep the run folders here")

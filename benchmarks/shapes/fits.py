@@ -95,11 +95,13 @@ def ceiling_key(family: str, seconds: float, seed: int) -> str:
     return f"ceiling_{family}_{seconds:g}s_seed{seed}"
 
 
-def cells_of(command: str, seeds: Sequence[int], minutes: float | None = None) -> list[Cell]:
+def cells_of(
+    command: str, seeds: Sequence[int], minutes: float | None = None, families: Sequence[str] = FAMILIES
+) -> list[Cell]:
     """Return the fits of a command, seed by seed, so that every row has results early."""
     rows = {
         "demo": [("demo", TASK, ())],
-        "families": [(f"family_{family}", TASK, (f"data.family={family}",)) for family in FAMILIES],
+        "families": [(f"family_{family}", TASK, (f"data.family={family}",)) for family in families],
         "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true"))],
         "semi": [
             (f"semi_{100 * share:g}%{only}", "masks_semi", (f"data.labelled.fraction={share}", *words))

@@ -13,13 +13,12 @@ from flat_runs import across_the_image, flat_run
 from mask_files import blob
 from mask_files import save as save_picture
 from PIL import Image
-from shape_stand_in import StandInModel, stand_in
+from shape_stand_in import StandInModel, stand_in, thick_shapes
 
 from uplift.cli import predict_files
 from uplift.cli.main import main
 from uplift.cli.predict import predict_keys
 from uplift.config.settings import ShapeSettings
-from uplift.models.mixture import ShapeMixture
 
 INPUTS = ("a/walk", "a/run", "b/walk")
 
@@ -168,9 +167,7 @@ def test_inputs_with_one_output_are_refused(predict: Callable[..., int], capsys:
 
 def test_masks_have_an_output_each_too(here: Path, monkeypatch: pytest.MonkeyPatch):
     stand_in(monkeypatch)
-    mixture = ShapeMixture(ShapeSettings(detail=4, crop=4, parts=1))
-    mixture.level.fill_(0.4)
-    StandInModel(mixture, ShapeSettings()).save(here / "lifter.pt")
+    StandInModel(thick_shapes(0.4), ShapeSettings()).save(here / "lifter.pt")
     Path("masks").mkdir()
     for number in range(2):
         save_picture(here / f"masks/m{number}.png", blob(seed=number))

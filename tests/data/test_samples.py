@@ -22,6 +22,7 @@ from uplift.models.ground import Ground
 from uplift.models.lifter import Lifted
 from uplift.models.prediction import Prediction, ShapePrediction
 from uplift.models.shape_lifter import LiftedShapes
+from uplift.models.view_hypotheses import ViewHypotheses
 from uplift.skeleton import load_skeleton
 from uplift.training.augmentation import ShownViews
 from uplift.training.pseudo_labels import PseudoPoses
@@ -59,18 +60,23 @@ EXAMPLES: dict[type[Samples], Samples] = {
         t(), torch.from_numpy(MASKS), t(3, 3), t() > 0.5,
     ),
     Batch: Batch(t(J, 2), t(J), t(), t(), t(J, 3), t(), t(), torch.from_numpy(MASKS), t(3, 3), torch.arange(N), t() > 0.5),
-    MaskSet: MaskSet(t(8, 8), t(2), t() > 0.5, t(3, 3), torch.arange(N), torch.rand(2, 4, 4, 4)),
+    MaskSet: MaskSet(
+        t(8, 8), t(2), torch.from_numpy(MASKS), t() > 0.5, t(3, 3), t(), t(2), torch.arange(N), torch.rand(2, 4, 4, 4)
+    ),
+    ViewHypotheses: ViewHypotheses(t(2), t(2), t(2), t(2), t(2, 2), t(2)),
     Prediction: Prediction(
         a(J, 3), a(J, 3), "mm", a(J, 2), a(J), SKELETON.joints, SKELETON, a(), {"frame": np.arange(N)}, truth=a(J, 3),
         uncertainty=a(J), root=a(3), filled=a(J) > 0.5, gravity=a(3), hypotheses=a(2, J, 3), weights=a(2),
         ground=Ground(a(3), a(3), a(J) > 0.5),
     ),
     Ground: Ground(a(3), a(3), a(J) > 0.5),
-    ShapePrediction: ShapePrediction(a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT),
+    ShapePrediction: ShapePrediction(
+        a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT, uncertainty=a(4, 4, 4)
+    ),
     PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5, t() > 0.5),
     ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(3), t(), t(J), t(), t() > 0.5, t() > 0.5),
     Lifted: Lifted(t(J, 3), t(), t(J, 2), t(J), t(3), t(), t(12)),
-    LiftedShapes: LiftedShapes(t(4, 4, 4), t(3, 3), t(), t(2), t()),
+    LiftedShapes: LiftedShapes(t(4, 4, 4), t(4, 4, 4), t(3, 3), t(), t(2), t()),
 }  # fmt: skip
 examples = pytest.mark.parametrize("samples", EXAMPLES.values(), ids=lambda samples: type(samples).__name__)
 # What a selection gives new numbers, by class.

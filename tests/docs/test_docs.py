@@ -35,7 +35,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SMALL = (*QUICK, "data.simulate=200")
 SMALL_MASKS = (
-    "data.simulate=20", "data.side=32", "shape.detail=12", "shape.crop=16", "shape.resolution=12",
+    "data.simulate=20", "data.side=32", "shape.coarse=8", "shape.detail=12", "shape.crop=12", "shape.pixels=12",
+    "shape.code=4", "shape.hidden=16", "shape.rounds=0", "shape.refine=1", "shape.resolution=12",
     "trainer.max_time=null", "trainer.max_steps=10", "trainer.log_every=1", "trainer.threads=1", "teacher.batch_size=16",
 )  # fmt: skip
 
@@ -323,7 +324,8 @@ def test_priors_run_as_they_are_printed(
         line.split(",") for line in (next(Path("runs").glob("*/last")) / "metrics.csv").read_text().splitlines()[1:]
     ]
     values = [float(row[3]) for row in rows if row[2] == prior]
-    assert len(values) == 10
+    # Shapes are judged once there are some, in every other step.
+    assert len(values) in ((2, 3) if "task=masks_demo" in command else (10,))
     assert max(values) > 0
     if name == "limbs.py":
         assert {"limbs_own", "limbs_accuracy"} <= {row[2] for row in rows}

@@ -15,11 +15,11 @@ from uplift.models.mixture import ShapeMixture
 from uplift.priors.base import Prior
 from uplift.training.base import plain_settings
 from uplift.training.lifting import LiftingModule
+from uplift.training.mixture import EStepStatistics, MixtureModule
 from uplift.training.pseudo_labels import PseudoPoses
-from uplift.training.shapes import EStepStatistics, ShapeModule
 from uplift.training.student import StudentModule
 
-__all__ = ["lifting_module", "shape_module", "student_module"]
+__all__ = ["lifting_module", "mixture_module", "student_module"]
 
 
 def lifting_module(
@@ -77,17 +77,17 @@ def student_module(
     return module
 
 
-def shape_module(
+def mixture_module(
     mixture: ShapeMixture,
     masks: MaskSet,
     priors: Mapping[str, Prior] | None = None,
     *,
     hot: bool = True,
     seed: int = 0,
-    kind: type[ShapeModule] = ShapeModule,
+    kind: type[MixtureModule] = MixtureModule,
     **teacher: Any,
 ) -> Any:
-    """Return a module of ``mixture``, a ``kind`` of `ShapeModule`, that explains ``masks``; priors have weight 1."""
+    """Return a module of ``mixture``, a ``kind`` of `MixtureModule`, that explains ``masks``; priors have weight 1."""
     given = dict(priors or {})
 
     class Given(kind):

@@ -1,11 +1,13 @@
-"""Small fits of masks, of one stage and of three, complete or interrupted."""
+"""Small fits of masks in all of their stages, complete or interrupted."""
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -19,24 +21,25 @@ from uplift.data.module import MaskDataModule
 from uplift.models.model import ShapeModel
 from uplift.training import shape_recipe as recipe_module
 from uplift.training.callbacks import Interrupted
+from uplift.training.mixture import MixtureModule
 from uplift.training.shape_recipe import ShapeRecipe
 from uplift.training.shapes import ShapeModule
 
-__all__ = ["SMALL", "STAGES", "fit_of", "interrupt", "many", "noted", "same", "trained"]
+__all__ = ["SMALL", "STAGES", "fit_of", "interrupt", "loaded_small", "noted", "same", "trained"]
 
 SMALL = (
-    "data.simulate=60", "data.family=chairs", "data.side=32", "shape.detail=12", "shape.crop=16", "shape.parts=2",
-    "shape.splits=", "shape.resolution=12", "shape.elevation_deg=20,1", "trainer.max_time=null", "trainer.max_steps=10",
-    "trainer.log_every=2", "trainer.threads=1", "teacher.batch_size=16",
+    "data.simulate=60", "data.family=chairs", "data.side=32", "shape.coarse=8", "shape.detail=12", "shape.crop=12",
+    "shape.pixels=12", "shape.code=4", "shape.hidden=16", "shape.parts=1", "shape.splits=2", "shape.rounds=2",
+    "shape.refine=2", "shape.resolution=12", "shape.elevation_deg=20,1", "trainer.max_time=null", "trainer.max_steps=15",
+    "trainer.log_every=1", "trainer.threads=1", "teacher.batch_size=8",
 )  # fmt: skip
-STAGES = ("data.simulate=130", "shape.parts=1", "shape.splits=2,2", "trainer.max_steps=24")
-"""Added to `SMALL`: three stages, of 1, 2 and 4 shapes."""
+STAGES = ["views_1", "views_2", "coarse", "coarse_2", "fine"]
 
 
 @lru_cache
-def many() -> LoadedMasks:
-    """Return the masks of `STAGES`, which take a while to simulate."""
-    return load_masks(load_settings("masks_demo", last_words(*SMALL, *STAGES)))
+def loaded_small() -> LoadedMasks:
+    """Return the masks of `SMALL`, which take a while to simulate."""
+    return load_masks(load_settings("masks_demo", SMALL))
 
 
 def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tuple[ShapeRecipe, ShapeModel]:
@@ -46,7 +49,9 @@ def fit_of(folder: Path, *words: str, loaded: LoadedMasks | None = None) -> tupl
     run = RunFolder(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recipe_module, "_MOST_FOR_THRESHOLD", 8)
-        recipe = ShapeRecipe(settings, MaskDataModule.of(loaded or load_masks(settings), settings))
+        recipe = ShapeRecipe(
+            settings, MaskDataModule.of(loaded or (load_masks(settings) if words else loaded_small()), settings)
+        )
         model = recipe.train(run)
     assert all(seconds > 0 for seconds in recipe.spent.values())
     return recipe, model
@@ -63,28 +68,36 @@ def same(one: ShapeModel, other: ShapeModel) -> bool:
     return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
-def noted(patch: pytest.MonkeyPatch) -> list[tuple[int, int, float]]:
-    """Return a list that records every step: number of shapes, step of the stage, temperature."""
-    taken: list[tuple[int, int, float]] = []
-    objective = ShapeModule.objective
+def _before_steps(patch: pytest.MonkeyPatch, do: Callable[[str, int], None]) -> None:
+    """Call ``do`` with the name of the stage before every step of it, and the step's number."""
 
-    def noting(module: ShapeModule, batch: int) -> tuple[Tensor, dict[str, float | Tensor]]:
-        taken.append((len(module.lifter.logits), module.global_step, module.temperature))
-        return objective(module, batch)
+    def wrapped(kind: type[MixtureModule] | type[ShapeModule]) -> None:
+        objective = kind.objective
 
-    patch.setattr(ShapeModule, "objective", noting)
+        def with_call(module: Any, batch: int) -> tuple[Tensor, dict[str, float | Tensor]]:
+            do(module.log_prefix, module.global_step)
+            return objective(module, batch)
+
+        patch.setattr(kind, "objective", with_call)
+
+    wrapped(MixtureModule)
+    wrapped(ShapeModule)
+
+
+def noted(patch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Return a list that records every step: its stage, and its number in that."""
+    taken: list[tuple[str, int]] = []
+    _before_steps(patch, lambda stage, step: taken.append((stage, step)))
     return taken
 
 
-def interrupt(folder: Path, shapes: int, step: int, *words: str, loaded: LoadedMasks | None = None) -> None:
-    """Fit, and press Ctrl-C in a step of the stage with so many shapes."""
-    objective = ShapeModule.objective
+def interrupt(folder: Path, stage: str, step: int, *words: str, loaded: LoadedMasks | None = None) -> None:
+    """Fit, and press Ctrl-C in a step of a stage."""
 
-    def pressing(module: ShapeModule, batch: int) -> tuple[Tensor, dict[str, float | Tensor]]:
-        if (len(module.lifter.logits), module.global_step) == (shapes, step):
+    def pressing(*at: Any) -> None:
+        if at == (stage, step):
             os.kill(os.getpid(), signal.SIGINT)
-        return objective(module, batch)
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Interrupted):
-        patch.setattr(ShapeModule, "objective", pressing)
+        _before_steps(patch, pressing)
         trained(folder, *words, loaded=loaded)

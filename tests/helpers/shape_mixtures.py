@@ -19,7 +19,7 @@ from uplift.models.mixture import ShapeMixture
 
 __all__ = ["SMALL", "chair", "crops_of", "masks_of", "mixture_of", "small"]
 
-SMALL: dict[str, Any] = {"detail": 12, "crop": 16, "parts": 2, "elevation_deg": (20.0, 1.0)}
+SMALL: dict[str, Any] = {"coarse": 12, "crop": 16, "parts": 2, "elevation_deg": (20.0, 1.0)}
 
 
 def small(**more: Any) -> ShapeSettings:
@@ -49,7 +49,7 @@ def mixture_of(seeds: tuple[int, ...], settings: ShapeSettings) -> ShapeMixture:
     torch.manual_seed(0)
     mixture = ShapeMixture(settings)
     for part, seed in enumerate(seeds):
-        logits = (_covered(seed, settings.detail) - 0.5) * 10
+        logits = (_covered(seed, settings.coarse) - 0.5) * 10
         half = mixture.logits.shape[-1]
         mixture.logits.data[part] = logits.clamp(-6, 2)[..., -half:]
     return mixture.eval()

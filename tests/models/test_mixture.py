@@ -17,7 +17,7 @@ from uplift.models.mixture import Drawn, ShapeMixture, temperature_at, view_grid
 @pytest.fixture(scope="module")
 def known() -> ShapeMixture:
     """Return a mixture whose one shape is a chair."""
-    return mixture_of((0,), small(parts=1, detail=24, crop=32))
+    return mixture_of((0,), small(parts=1, coarse=24, crop=32))
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
@@ -78,7 +78,7 @@ def test_the_true_shape_finds_the_view_of_most_masks(known: ShapeMixture) -> Non
 
 
 def test_the_right_shape_of_two_explains_most_masks() -> None:
-    mixture = mixture_of((0, 4), small(detail=20, crop=24))
+    mixture = mixture_of((0, 4), small(coarse=20, crop=24))
     for part, seed in enumerate((0, 4)):
         masks, spread = crops_of(masks_of(chair(seed), 30), mixture)
         with torch.no_grad():

@@ -20,7 +20,10 @@ STEPS = (
     "trainer.precision=32-true",
 )
 BODY = ("data.train=body.npz", "data.test=body.npz", "data.root=.")
-MASKS = ("data.simulate=60", "shape.detail=8", "shape.crop=12", "shape.resolution=8", "shape.splits=[2]")
+MASKS = (
+    "data.simulate=60", "shape.coarse=8", "shape.detail=10", "shape.crop=12", "shape.pixels=12", "shape.resolution=10",
+    "shape.splits=[2]", "shape.rounds=2", "shape.refine=3", "teacher.batch_size=16",
+)  # fmt: skip
 _ROUNDED = {"overall/facing": 0.02, "overall/facing_sign": 0.02}
 """Shares of 120 frames, of which some lie at the limit."""
 FITS = {
@@ -28,7 +31,7 @@ FITS = {
     "supervised_cmu": ("task=supervised_cmu", *BODY, *QUICK, *STEPS),
     "semi_cmu": ("task=semi_cmu", *BODY, *QUICK, *STEPS, "data.labelled.fraction=0.5"),
     "kudo2018_code": ("task=kudo2018_code", *BODY, *STEPS, "trainer.max_epochs=null", "trainer.max_steps=6"),
-    "masks_demo": ("task=masks_demo", *MASKS, *STEPS, "trainer.max_steps=6"),
+    "masks_demo": ("task=masks_demo", *MASKS, *STEPS, "trainer.max_steps=12"),
 }
 
 

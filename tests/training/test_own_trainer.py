@@ -459,25 +459,41 @@ def test_data_of_any_origin(here: Path, kind: str) -> None:
     assert len(clips) < 2 or not clips[0] & clips[1] or kind == "deeplabcut"
 
 
-SHAPE: dict[str, Any] = {"detail": 12, "crop": 16, "parts": 2, "resolution": 12, "elevation_deg": (20.0, 1.0)}
+SHAPE: dict[str, Any] = {
+    "coarse": 8, "detail": 12, "crop": 12, "pixels": 12, "code": 4, "hidden": 16, "parts": 1, "resolution": 12, "refine": 2,
+    "elevation_deg": (20.0, 1.0),
+}  # fmt: skip
 
 
-def test_masks_have_the_same_two_classes(here: Path) -> None:
+def views_found(data: uplift.MaskDataModule) -> uplift.MixtureModule:
+    """Return what a space of shapes starts from."""
+    views = uplift.MixtureModule(shape=SHAPE)
+    fit(views, data, max_steps=2)
+    return views
+
+
+def test_masks_have_classes_of_their_own(here: Path) -> None:
     data = uplift.MaskDataModule(60, family="chairs", side=32, batch_size=16, shape=SHAPE, val=0.05)
-    module = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 0.1, "mask_critic": {"weight": 0.1}})
+    views, priors = uplift.MixtureModule(shape=SHAPE), {"smoothness": 0.1, "mask_critic": {"weight": 0.1}}
+    flags: dict[str, Any] = {"enable_checkpointing": True, "log_every_n_steps": 1, "max_epochs": 3}
+    saver = ModelCheckpoint("views", "{step}", monitor=None, every_n_train_steps=1, save_top_k=-1)
+    assert "train/energy" in fit(views, data, callbacks=[saver], **flags).callback_metrics
+    again = uplift.MixtureModule(shape=SHAPE)
+    fit(again, data, ckpt_path="views/step=7.ckpt", callbacks=[ModelCheckpoint("others")], **flags)
+    assert same(weights(again), weights(views))
+    module = uplift.ShapeModule(views, shape=SHAPE, priors=priors)
     saver = ModelCheckpoint("masks", "{step}", monitor=None, every_n_train_steps=1, save_top_k=-1)
-    flags: dict[str, Any] = {"max_epochs": 3, "enable_checkpointing": True, "log_every_n_steps": 1}
     trainer = fit(module, data, callbacks=[saver], **flags)
     assert trainer.global_step == 3 * -(-len(data.train_samples) // 16) == 12
     assert {
-        "train/energy",
         "train/silhouettes",
+        "train/code",
         "train/smoothness",
         "val/volume_iou",
     } <= trainer.callback_metrics.keys()
     assert data.train_samples.truth is None and data.val_samples.truth is not None
     for step in (5, 8):
-        again = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 0.1, "mask_critic": {"weight": 0.1}})
+        again = uplift.ShapeModule(shape=SHAPE, priors=priors)  # poses are in the checkpoint
         fit(again, data, ckpt_path=f"masks/step={step}.ckpt", callbacks=[ModelCheckpoint("others")], **flags)
         assert same(weights(again), weights(module)), step
     loaded = uplift.ShapeModule.load_from_checkpoint("masks/step=12.ckpt")
@@ -489,11 +505,12 @@ def test_masks_have_the_same_two_classes(here: Path) -> None:
     prediction = uplift.load("shapes.pt").predict(data.test_samples.without_truth())
     expected = evaluate_shapes(prediction, data.test_samples.truth, data.test_samples.masks, "", None).overall
     assert {name: found[f"test/{name}"] for name in expected} == pytest.approx(expected, rel=1e-6)
-    finer = module.split(2)
+    finer = module.go_on(16)
     fit(finer, data, max_steps=2)
-    assert len(finer.lifter.logits) == 4 and finer.priors is module.priors
+    assert finer.lifter.detail == 16 and finer.priors is module.priors
     unknown = uplift.MaskDataModule(data.train_samples.without_truth(), val=0.2, batch_size=16)
-    assert "val/silhouette_iou_seen" in fit(loaded, unknown, max_epochs=1).callback_metrics
+    other = uplift.ShapeModule(loaded.final, shape=SHAPE)
+    assert "val/silhouette_iou_seen" in fit(other, unknown, max_epochs=1).callback_metrics
 
 
 class Lighter(uplift.ShapeModule):
@@ -501,19 +518,22 @@ class Lighter(uplift.ShapeModule):
 
     def objective(self, batch: int) -> tuple[torch.Tensor, dict[str, Any]]:
         loss, terms = super().objective(batch)
-        light = self.lifter.occupancy.mean()
-        return loss + 10 * light, {**terms, "light": light.detach()}
+        light = self.lifter.last.bias.sigmoid().mean()
+        return loss + 1e4 * light, {**terms, "light": light.detach()}
 
 
 def test_a_subclass_for_masks(here: Path) -> None:
     data = uplift.MaskDataModule(30, family="chairs", side=32, batch_size=16, shape=SHAPE, val=0)
-    module, plain = Lighter(shape=SHAPE), uplift.ShapeModule(shape=SHAPE)
+    views = views_found(data)
+    module, plain = Lighter(views, shape=SHAPE), uplift.ShapeModule(views, shape=SHAPE)
     for one in (module, plain):
         fit(one, data, max_steps=6)
-    assert "light" in module.logged and module.lifter.occupancy.mean() < plain.lifter.occupancy.mean()
-    assert isinstance(module.split(2), Lighter)
+    assert "light" in module.logged and module.lifter.last.bias.mean() < plain.lifter.last.bias.mean()
+    assert isinstance(module.go_on(), Lighter)
     with pytest.raises(uplift.UserError, match="trains on a uplift.MaskDataModule"):
-        fit(uplift.ShapeModule(shape=SHAPE), data_of(here), max_steps=1)
+        fit(uplift.ShapeModule(views, shape=SHAPE), data_of(here), max_steps=1)
+    with pytest.raises(uplift.UserError, match="trains on a uplift.MaskDataModule"):
+        fit(uplift.MixtureModule(shape=SHAPE), data_of(here), max_steps=1)
 
 
 class Endless(torch.utils.data.IterableDataset):
@@ -630,10 +650,9 @@ def test_mixed_precision_around_a_lifter_in_a_larger_module_and_of_masks(here: P
     module.lifting.prepare(data_of(here))
     loader = torch.utils.data.DataLoader(torch.randn(16, 10, generator=torch.Generator().manual_seed(0)), batch_size=8)
     L.Trainer(**QUIET, max_epochs=1, precision="bf16-mixed").fit(module, loader)
-    shapes = uplift.ShapeModule(shape=SHAPE, priors={"smoothness": 1.0})
-    L.Trainer(**QUIET, max_steps=2, precision="bf16-mixed").fit(
-        shapes, uplift.MaskDataModule(20, family="chairs", side=32, batch_size=8, shape=SHAPE)
-    )
+    masks = uplift.MaskDataModule(20, family="chairs", side=32, batch_size=8, shape=SHAPE)
+    shapes = uplift.ShapeModule(views_found(masks), shape=SHAPE, priors={"smoothness": 1.0})
+    L.Trainer(**QUIET, max_steps=2, precision="bf16-mixed").fit(shapes, masks)
     for part in (module.detector, shapes):
         assert all(value.isfinite().all() and value.dtype == torch.float32 for value in part.parameters())
 
@@ -669,13 +688,21 @@ class Thin(uplift.ShapePrior):
         return lift.occupancy.mean()
 
 
-def test_labelled_masks_load_again_and_priors_of_ones_own_are_split(here: Path) -> None:
+def test_labelled_masks_load_again_and_priors_of_ones_own_go_on(here: Path) -> None:
     data = uplift.MaskDataModule(40, family="chairs", side=32, batch_size=16, shape=SHAPE, val=0, labelled=0.5)
-    module = uplift.ShapeModule(shape=SHAPE, priors={"thin": {"use": Thin, "weight": 2.0}})
+    thin = {"thin": {"use": Thin, "weight": 2.0}}
+    views = uplift.MixtureModule(shape=SHAPE, priors=thin)
+    fit(views, data, max_steps=2).save_checkpoint("views.ckpt")
+    assert {"truth", "thin"} <= views.logged.keys()
+    assert same(weights(uplift.MixtureModule.load_from_checkpoint("views.ckpt", priors={"thin": Thin})), weights(views))
+    more = views.split(2)
+    fit(more, data, max_steps=1)
+    assert more.terms.weights == {"thin": 2.0} and "thin" in more.logged and len(more.lifter.logits) == 2
+    module = uplift.ShapeModule(more, shape=SHAPE, priors=thin)
     fit(module, data, max_steps=2).save_checkpoint("a.ckpt")
     assert "truth" in module.logged
     loaded = uplift.ShapeModule.load_from_checkpoint("a.ckpt", priors={"thin": Thin})
     assert same(weights(loaded), weights(module))
-    finer = module.split(2)
-    fit(finer, data, max_steps=1)
+    finer = module.go_on(16)
+    fit(finer, data, max_steps=2)
     assert finer.terms.weights == {"thin": 2.0} and "thin" in finer.logged

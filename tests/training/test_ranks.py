@@ -24,6 +24,7 @@ from uplift.training.launch import _found
 TOGETHER = '''
 import functools
 import sys
+import types
 import numpy as np
 import torch
 import uplift
@@ -33,7 +34,8 @@ from uplift.config.settings import RefineSettings
 from uplift.data.poses import PoseData
 from uplift.models import refine, signs
 from uplift.priors.base import Lift
-from uplift.training import shapes as mixtures
+from uplift.training import mixture as mixtures, shapes as spaces
+from uplift.training.mixture import MixtureModule
 from uplift.training.pseudo_labels import lift_all
 
 BATCH = 22
@@ -42,6 +44,7 @@ PRIORS = {
     "pairwise": 1.0, "symmetry": 1.0, "fill": 1.0, "labelled": 1.0, "critic": {"weight": 1.0, "gate": [0.1, 0.9]}, "mask": 1.0,
 }
 SMALL = {"options": {"units": 16}}
+SHAPE = {"coarse": 8, "detail": 12, "crop": 12, "pixels": 12, "code": 4, "hidden": 16, "parts": 2}
 
 
 class Mine(uplift.Prior):
@@ -104,9 +107,18 @@ def all_results():
     found["any camera"] = step(student(lifter, lifter={**SMALL, "signs": 16, "uncertainty": True, "cameras": "any"}))
     found["own camera"] = step(student(lifter, lifter={**SMALL, "tilt": "predicted", "cameras": "own"}))
     masks = uplift.MaskDataModule(60, family="chairs", side=32, batch_size=16, val=0)
-    shapes = uplift.ShapeModule(shape={"detail": 12, "crop": 16, "parts": 2}, average=None)
+    views = MixtureModule(shape=SHAPE, average=None)
+    views.prepare(masks)
+    found["views"] = step(views, 16)
+    shapes = uplift.ShapeModule(views, shape=SHAPE, average=None, detail=8, first=False)
     shapes.prepare(masks)
+    shapes.find_views()
     found["shapes"] = step(shapes, 16)
+    later = shapes.go_on(12)
+    later.trainer = types.SimpleNamespace(precision="32-true", global_step=0)
+    later.prepare(masks)
+    later.find_views()
+    found["picked"] = {name: value.clone() for name, value in vars(later.poses.hypotheses()).items()}
     frames = data(None).frames(lifter.lifter_settings)
     refine._BLOCK_FRAMES = signs._BLOCK_FRAMES = 40
     solved = student(lifter, lifter={**SMALL, "signs": 16})
@@ -120,7 +132,7 @@ if __name__ == "__main__":
     rank, folder = int(sys.argv[1]), sys.argv[2]
     torch.set_num_threads(1)
     distributed.init_process_group("gloo", init_method=f"file://{folder}/store", rank=rank, world_size=2)
-    mixtures._CHUNK = 20
+    mixtures._CHUNK = spaces._PICK_CHUNK = 20
     torch.save(all_results(), f"{folder}/rank{rank}.pt")
 '''  # fmt: skip
 

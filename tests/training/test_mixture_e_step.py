@@ -21,8 +21,8 @@ from uplift.data.masks import MaskData
 from uplift.data.synthetic.masks import ViewChoice, simulate_masks
 from uplift.models.mixture import LEAST, MOST, ShapeMixture
 from uplift.models.projector import Projector
-from uplift.training import shapes as module
-from uplift.training.shapes import EStepStatistics
+from uplift.training import mixture as module
+from uplift.training.mixture import EStepStatistics
 
 KINDS = [{}, {"symmetric": False}, {"gravity": False}]
 ITEMS, T = 20, 0.05
@@ -63,7 +63,7 @@ def fresh(seed: int = 0, **more: bool) -> ShapeMixture:
 
 def told(data: MaskData, labelled: np.ndarray, shape: ShapeSettings) -> MaskSet:
     """Return the masks with the labels of some."""
-    return to_mask_set(replace(data, labelled=labelled), shape)
+    return to_mask_set(replace(data, labelled=labelled), shape, shape.coarse)
 
 
 def explain(mixture: ShapeMixture, masks: MaskSet, temperature: float = T, pooled: int = 1) -> EStepStatistics:
@@ -117,7 +117,7 @@ def folded(mixture: ShapeMixture, share: Tensor) -> Tensor:
 @pytest.mark.parametrize("more", KINDS)
 def test_sums_are_those_over_each_mask(more: dict[str, bool], pooled: int, data: MaskData) -> None:
     mixture = fresh(**more)
-    masks = to_mask_set(data, mixture.settings)
+    masks = to_mask_set(data, mixture.settings, mixture.settings.coarse)
     found = explain(mixture, masks, pooled=pooled)
     temperature = T * (module._POOLED if pooled > 1 else 1)
     evidence = evidence_of(mixture, masks, temperature, pooled)
@@ -143,7 +143,7 @@ def test_sums_are_those_over_each_mask(more: dict[str, bool], pooled: int, data:
 @pytest.mark.parametrize("more", KINDS)
 def test_faint_shares_are_left_out_and_little_is_lost(more: dict[str, bool], data: MaskData) -> None:
     mixture = fresh(**more)
-    masks = to_mask_set(data, mixture.settings)
+    masks = to_mask_set(data, mixture.settings, mixture.settings.coarse)
     found = explain(mixture, masks)
     assert float(found.weight.sum()) == pytest.approx(1, abs=1e-5)
     evidence = evidence_of(mixture, masks, T)
@@ -154,8 +154,8 @@ def test_faint_shares_are_left_out_and_little_is_lost(more: dict[str, bool], dat
 
 
 def test_pooled_pixels_give_nearly_the_shares_of_all(data: MaskData) -> None:
-    mixture = mixture_of((0, 4), small(detail=20, crop=24))
-    masks = to_mask_set(data, mixture.settings)
+    mixture = mixture_of((0, 4), small(coarse=20, crop=24))
+    masks = to_mask_set(data, mixture.settings, mixture.settings.coarse)
     whole, pooled = (explain(mixture, masks, 0.02, by) for by in (1, 2))
     assert pooled.mask.shape == whole.mask.shape
     assert 0.5 * float((whole.weight - pooled.weight).abs().sum()) < 0.15  # the share of masks that moved
@@ -180,7 +180,7 @@ def test_nothing_is_left_of_what_was_summed_up_before(data: MaskData) -> None:
     masks = told(data, np.arange(ITEMS) < 7, mixture.settings)
     found = explain(mixture, masks)
     first = {name: part.clone() for name, part in found.named_buffers()}
-    found.update(mixture, to_mask_set(data.select(np.arange(3)), mixture.settings), T)
+    found.update(mixture, to_mask_set(data.select(np.arange(3)), mixture.settings, mixture.settings.coarse), T)
     assert not torch.allclose(found.weight, first["weight"], atol=1e-3)
     found.update(mixture, masks, T)
     assert all(torch.equal(part, first[name]) for name, part in found.named_buffers())
@@ -190,7 +190,7 @@ def test_nothing_is_left_of_what_was_summed_up_before(data: MaskData) -> None:
 @pytest.mark.parametrize("more", KINDS)
 def test_the_loss_is_the_expected_error_of_each_mask(more: dict[str, bool], data: MaskData) -> None:
     mixture = fresh(**more)
-    masks = to_mask_set(data, mixture.settings)
+    masks = to_mask_set(data, mixture.settings, mixture.settings.coarse)
     found = explain(mixture, masks)
     rows = list(range(len(mixture.grid.drawn)))
     loss = found.loss(mixture, mixture.cut_out(rows), rows, T)
@@ -215,7 +215,7 @@ def test_the_loss_is_the_expected_error_of_each_mask(more: dict[str, bool], data
 
 def test_some_views_give_the_loss_of_all_on_average(data: MaskData) -> None:
     mixture = fresh()
-    found = explain(mixture, to_mask_set(data, mixture.settings))
+    found = explain(mixture, to_mask_set(data, mixture.settings, mixture.settings.coarse))
     with torch.no_grad():
         every = torch.randperm(len(mixture.grid.drawn))
         losses = [
@@ -244,7 +244,7 @@ def test_labelled_masks_are_explained_from_their_true_view_alone(more: dict[str,
     found = explain(mixture, told(data, np.ones(ITEMS, bool), mixture.settings))
     assert torch.allclose(found.weight.sum(0), count, atol=1e-5)
     assert torch.allclose(found.labelled, found.weight.sum(1), atol=1e-5)
-    free = explain(mixture, to_mask_set(data, mixture.settings))
+    free = explain(mixture, to_mask_set(data, mixture.settings, mixture.settings.coarse))
     assert float((free.weight.sum(0) - count).abs().sum()) > 0.5, "without labels the views are others"
 
 
@@ -294,5 +294,5 @@ def test_no_mask_is_lost_where_nothing_is_known() -> None:
     settings = small(parts=64, proportions=1.0)
     mixture = ShapeMixture(settings)
     explained = EStepStatistics(mixture, labels=False)
-    explained.update(mixture, to_mask_set(data.without_truth(), settings), 0.3)
+    explained.update(mixture, to_mask_set(data.without_truth(), settings, settings.coarse), 0.3)
     assert float(explained.weight.sum()) == pytest.approx(1, abs=1e-4)

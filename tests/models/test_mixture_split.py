@@ -13,7 +13,7 @@ from shape_mixtures import chair, masks_of, mixture_of, small
 from uplift.data.mask_tensors import MaskSet, to_mask_set
 from uplift.models import mixture as module
 from uplift.models.mixture import ShapeMixture, split
-from uplift.training.shapes import EStepStatistics
+from uplift.training.mixture import EStepStatistics
 
 T = 0.03
 KINDS = [{}, {"symmetric": False}, {"gravity": False}]
@@ -94,13 +94,13 @@ def test_matrices_of_the_same_views_are_not_made_again() -> None:
 @pytest.fixture(scope="module")
 def known() -> ShapeMixture:
     """Return a mixture that knows two chairs."""
-    return mixture_of((0, 4), small(detail=16, crop=20))
+    return mixture_of((0, 4), small(coarse=16, crop=20))
 
 
 @pytest.fixture(scope="module")
 def masks(known: ShapeMixture) -> MaskSet:
     """Return masks of one of the two."""
-    return to_mask_set(masks_of(chair(), 40), known.settings)
+    return to_mask_set(masks_of(chair(), 40), known.settings, known.settings.coarse)
 
 
 @pytest.mark.parametrize("times", [2, 3])
@@ -108,7 +108,7 @@ def test_copies_without_noise_share_what_their_shape_explained(
     known: ShapeMixture, masks: MaskSet, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_NOISE", 0.0)
-    monkeypatch.setattr("uplift.training.shapes._FAINT", 0.0)
+    monkeypatch.setattr("uplift.training.mixture._FAINT", 0.0)
     one, several = explained(known, masks), explained(split(known, times, 24), masks)
     each = several.weight.unflatten(0, (2, times))
     assert torch.allclose(each.sum(1), one.weight, atol=1e-5)
