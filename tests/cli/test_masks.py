@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from bodies import refusal, status_of
 from mask_files import blob, save
-from shape_stand_in import stand_in
+from shape_stand_in import StandInModel, stand_in
 
 import uplift
+from uplift.cli.predict_masks import groups_of
 from uplift.data.formats.masks_npz import read_masks_npz, write_masks_npz
 from uplift.data.synthetic.masks import simulate_masks
 from uplift.models.prediction import ShapePrediction
@@ -158,7 +159,7 @@ def test_evaluate_without_the_training_files_has_no_floors(here: Path, capsys) -
     assert "mean_shape" not in text
 
 
-@pytest.mark.parametrize("ending", ["html", "npz", "glb", "obj", "ply", "stl"])
+@pytest.mark.parametrize("ending", ["html", "npz", "csv", "json", "glb", "obj", "ply", "stl"])
 def test_predict_writes_every_format(ending: str, run: Path, masks: Path, capsys) -> None:
     assert status_of("predict", f"run={run}", f"input={masks}", f"output=shapes.{ending}") == 0
     text = capsys.readouterr().out
@@ -168,6 +169,31 @@ def test_predict_writes_every_format(ending: str, run: Path, masks: Path, capsys
     assert len(files) == (2 if ending in ("obj", "ply", "stl") else 1)
     assert all(f"wrote {path}" in text for path in files)
     assert ("open shapes.html in a browser" in text) == (ending == "html")
+
+
+@pytest.mark.parametrize(
+    ("by", "names", "expected"),
+    [
+        ("all", ["a/1.png", "b/2.png"], [0, 0]),
+        ("folder", ["a/1.png", "a/2.png", "b/1.png", "1.png", "a/b/1.png", "b/2.png"], [0, 0, 1, 2, 3, 1]),
+        ("name", ["cow_001.png", "cow_002.png", "dog_001.png", "x/cow_003.png"], [0, 0, 1, 2]),
+        ("name", ["cow_1_left.jp2", "cow_2_left.jp2", "cow_1_right.jp2"], [0, 0, 1]),
+        ("name", ["f_001.png:3", "f_002.png:3", "f_001.png:4"], [0, 0, 1]),
+        ("folder", ["v/001.png:3", "v/002.png:3", "v/001.png:4"], [0, 0, 1]),
+    ],
+)
+def test_groups_by_name(by: str, names: list[str], expected: list[int]) -> None:
+    found = groups_of(names, by)
+    assert [list(dict.fromkeys(found)).index(one) for one in found] == expected
+
+
+def test_groups_and_front_of_predict(run: Path, masks: Path, capsys) -> None:
+    common = ("predict", f"run={run}", f"input={masks}")
+    assert status_of(*common, "output=a.csv", "group=name", "front=180") == 0
+    assert len(set(StandInModel.grouped[-1])) == 1
+    save(masks / "sheep/lamb.png", (255 * blob(seed=5)).astype(np.uint8))
+    says = refusal(capsys, *common[:2], "input=masks/cow/0.png,masks/sheep/lamb.png", "output=b.csv", "group=name")
+    assert "no two of 2 masks have names that differ in the last number alone" in says
 
 
 def test_predict_options(run: Path, masks: Path, capsys) -> None:
@@ -203,6 +229,9 @@ def test_predict_options(run: Path, masks: Path, capsys) -> None:
         (("output=a.glb", "together=yes"), "expected true or false"),
         (("output=a.glb", "smooth=some"), "expected a whole number"),
         (("output=a.glb", "unit=mm"), "does not tell how large"),
+        (("output=a.csv", "unit=mm"), "unit= goes with the formats of meshes"),
+        (("output=a.csv", "front=90"), "front=90: shapes of this lifter are their own mirror image"),
+        (("output=a.csv", "group=any"), "expected one of all, folder, name"),
         (("output=a.glb", "axes=up"), "axes=up"),
         (("output=a.html", "page=galery"), "Did you mean 'gallery'?"),
         (("output=a.glb", "category=horse"), "no such category"),

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from uplift.metrics import shape_metrics as shape_item
 from uplift.metrics.baselines import score_with_baselines, shape_baselines
 from uplift.metrics.shape_metrics import grid_surface, mesh_surface
 from uplift.models import model as model_module
+from uplift.models.front import front_at
 from uplift.models.prediction import ShapePrediction
 from uplift.models.shape_space import ShapeSpace
 
@@ -34,9 +35,18 @@ _R = 16
 class StandInModel(model_module.ShapeModel):
     """Saved and loaded like the real one; its only weight is the thickness of the shapes."""
 
-    def predict(self, data: MaskData, title: str = "", refine: int | None = None) -> ShapePrediction:
+    grouped: ClassVar[list[Any]] = []
+    """What each call had for its groups."""
+
+    def facing(self, degrees: int | float) -> StandInModel:
+        """Refuse what the real one does."""
+        front_at(degrees, self.settings)
+        return self
+
+    def predict(self, data: MaskData, title: str = "", refine: int | None = None, group: Any = None) -> ShapePrediction:
         """Return every mask extruded."""
         assert data.truth is None
+        self.grouped.append(group)
         depth = np.abs((2 * np.arange(_R) + 1) / _R - 1) < float(self.lifter.level)
         small = data.masks.reshape(len(data), _R, data.side // _R, _R, data.side // _R).mean((2, 4)) / 255
         return ShapePrediction(

@@ -19,7 +19,7 @@ __all__ = ["front_at", "front_of_views", "turned_grids"]
 _HALF_TURN = 180
 
 
-def front_at(degrees: float, settings: ShapeSettings) -> Float[Tensor, "3 3"]:
+def front_at(degrees: int | float, settings: ShapeSettings) -> Float[Tensor, "3 3"]:
     """Return the rotation after which the side of shapes that was seen at azimuth ``degrees`` is their front.
 
     Raises UserError for an angle at which shapes that are their own mirror image would not be that any more.

@@ -599,7 +599,7 @@ class ShapeModel(_Saved):
             images=data.images,
         )
 
-    def facing(self, degrees: float) -> ShapeModel:
+    def facing(self, degrees: int | float) -> ShapeModel:
         """Return a model whose shapes have their front where this one's are seen at azimuth ``degrees``.
 
         It is the same lifter in another frame: silhouettes stay, azimuths are less by ``degrees``. Raises UserError for

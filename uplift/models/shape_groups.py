@@ -24,8 +24,6 @@ __all__ = ["lift_groups"]
 
 _PART = 50
 """Masks that are refined at a time; the code of a group with more is refined with so many of them, evenly spaced."""
-_OWN = 4
-"""Masks of a group whose own codes are tried as that of all."""
 _ROUNDS = 2
 """Times that views are chosen by the shared code, and the code is found from these views."""
 
@@ -58,7 +56,7 @@ def lift_groups(
     first = min(steps, FIRST_STEPS)
     states, cost = _in_parts(space, starts, target, first, None)
     best, chosen = chosen_views(states.pose, cost, count)
-    code, deviation = _best_shared(space, states.pick(best), starts.pose, target, first, group)
+    code, deviation = _product(states.pick(best), group)
     for _ in range(_ROUNDS):
         tried, cost = _in_parts(space, State(code, deviation, starts.pose), target, first, group)
         best, chosen = chosen_views(tried.pose, cost, count)
@@ -67,32 +65,6 @@ def lift_groups(
             code, deviation = _product(encoded(space, features, pose), group)
     state = _jointly(space, State(code, deviation, pose), target, steps, group)
     return expected_shapes(space, state, masks, resolution, chosen, group)
-
-
-def _best_shared(
-    space: ShapeSpace, alone: State, starts: ObjectPose, target: Tensor, steps: int, group: Tensor
-) -> tuple[Float[Tensor, "groups code"], Float[Tensor, "groups code"]]:
-    """Return the code of each group that explains its masks best: the product of all, or that of one of its masks.
-
-    Where a mask alone is seen from the wrong side, what it says of the code spoils the product.
-    """
-    groups = int(group.max()) + 1
-    tried = [_product(alone, group)]
-    place = torch.arange(len(group), device=group.device)
-    sizes = group.bincount(minlength=groups)
-    first = torch.stack([place[group == number][0] for number in range(groups)])
-    in_order = torch.cat([place[group == number] for number in range(groups)])
-    ends = sizes.cumsum(0)
-    del first
-    for number in range(_OWN):
-        rows = in_order[ends - sizes + (number * sizes) // _OWN]
-        tried.append((alone.code[rows], alone.deviation[rows]))
-    costs = []
-    for code, deviation in tried:
-        _, cost = _in_parts(space, State(code, deviation, starts), target, steps, group)
-        costs.append(cost.new_zeros(groups).index_add(0, group, cost.view(-1, len(group)).amin(0)))
-    best, which = torch.stack(costs).argmin(0), torch.arange(groups, device=group.device)
-    return tuple(torch.stack(parts)[best, which] for parts in zip(*tried, strict=True))  # type: ignore[return-value]
 
 
 def _product(states: State, group: Tensor) -> tuple[Float[Tensor, "groups code"], Float[Tensor, "groups code"]]:

@@ -102,14 +102,15 @@ class ShapeRecipe(Recipe):
             last = settings.teacher.decay_from
             module = module.go_on(settings.shape.detail, seed=settings.seed + len(coarse), decay_from=last)
         self.stage(run, "fine", module, self.data, settings.teacher.batch_size)
-        self.training_views = module.poses.best.view.double().cpu().numpy()
         model, count = module.model(), len(self.data.masks)
         masks = self.data.masks.masks[np.linspace(0, count - 1, min(_MOST_FOR_THRESHOLD, count)).astype(int)]
         model.lifter.level.fill_(choose_iso_threshold(model.lift(masks).occupancy))
         if self.known is not None:
             self._face(model, module.poses.best.view.cpu())
+        front = model.lifter.front.cpu()
+        self.training_views = (module.poses.best.view.cpu() @ front.mT).double().numpy()
         if rank_zero_only.rank == 0:
-            write_views(run.path / VIEWS, self.data.masks.names, _view_columns(module.poses, model.lifter.front.cpu()))
+            write_views(run.path / VIEWS, self.data.masks.names, _view_columns(module.poses, front))
         return model
 
     def _face(self, model: ShapeModel, found: Float[Tensor, "items 3 3"]) -> None:
