@@ -90,7 +90,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = ranked[np.round(np.linspace(0.03, 0.97, given.rows) * (len(ranked) - 1)).astype(int)]
     rows = [_row(prediction, data, int(item)) for item in chosen]
     Image.fromarray((255 * np.concatenate(rows)).astype(np.uint8)).save(given.output, optimize=True)
-    print(f"wrote {given.output}: unseen silhouettes {', '.join(f'{scores[item]:.2f}' for item in chosen)}, from top to bottom")
+    print(
+        f"wrote {given.output}: unseen silhouettes {', '.join(f'{scores[item]:.2f}' for item in chosen)}, from top to bottom"
+    )
     return 0
 
 
