@@ -88,7 +88,7 @@ class ShapeSpace(nn.Module):
         return (
             2 * math.pi / len(self.views)
             if self.settings.gravity
-            else (8 * math.pi**2 / len(self.views)) ** (1 / 3) / 2
+            else 0.8 * (8 * math.pi**2 / len(self.views)) ** (1 / 3)
         )
 
     def usual_elevation(self, elevation: Float[Tensor, " items"]) -> Float[Tensor, " items"]:

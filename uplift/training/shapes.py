@@ -483,7 +483,8 @@ def cut_out(
         covered = inside.any(axis)
         low.append(torch.where(covered, at, 9.0).amin(1))
         high.append(torch.where(covered, at, -9.0).amax(1))
-    half = (torch.maximum(high[0] - low[0], high[1] - low[1]) / 2 / FILL).clamp(0.2, 1.3)
+    # From edge to edge of the outermost pixels.
+    half = ((torch.maximum(high[0] - low[0], high[1] - low[1]) + 2 / side) / 2 / FILL).clamp(0.2, 1.3)
     middle = ((torch.stack(low, 1) + torch.stack(high, 1)) / 2).clamp(-0.6, 0.6)
     places = torch.cat([torch.diag_embed(half[:, None].expand(-1, 2)), middle[..., None]], 2)
     grid = nn.functional.affine_grid(places, [len(image), 1, side, side], align_corners=False)
