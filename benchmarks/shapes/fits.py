@@ -46,6 +46,8 @@ COMMANDS = ("demo", "families", "twin", "semi", "animals", "modelnet")
 """The commands that fit; `cost` measures steps, `ceiling` trains the supervised network."""
 
 
+_FULL = ("data.simulate=4000", "trainer.max_steps=2200")
+"""What the figures of families are of; the demo is shorter."""
 _LABELLED = (0.02, 0.1)
 """Shares of the shapes that are known; each also without the other masks."""
 HELD_OUT = ("Cow", "ShibaInu")
@@ -101,10 +103,10 @@ def cells_of(
     """Return the fits of a command, seed by seed, so that every row has results early."""
     rows = {
         "demo": [("demo", TASK, ())],
-        "families": [(f"family_{family}", TASK, (f"data.family={family}",)) for family in families],
-        "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true"))],
+        "families": [(f"family_{family}", TASK, (f"data.family={family}", *_FULL)) for family in families],
+        "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true", *_FULL))],
         "semi": [
-            (f"semi_{100 * share:g}%{only}", "masks_semi", (f"data.labelled.fraction={share}", *words))
+            (f"semi_{100 * share:g}%{only}", "masks_semi", (f"data.labelled.fraction={share}", *words, *_FULL))
             for share in _LABELLED
             for only, words in (("", ()), ("_only", ("data.labelled.only=true",)))
         ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -357,8 +357,8 @@ def shape_findings(
         return Findings(_SHAPES, given, partial(write_shape_page, shown), given[:1])
     test, prediction, found = score_shapes(model, loaded.test, loaded.train, title)
     if recipe is not None and (share := _views_found(recipe, loaded.train)) is not None:
-        found.overall["train_views_within_20"] = share
-        found.overall = dict(sorted(found.overall.items(), key=lambda one: metric_order(one[0])))
+        overall = {**found.overall, "train_views_within_20": share}
+        found = replace(found, overall=dict(sorted(overall.items(), key=lambda one: metric_order(one[0]))))
     scores = {name: found.per_item[key] for name, key in _SCORES.items() if key in found.per_item}
     return Findings(
         _SHAPES,

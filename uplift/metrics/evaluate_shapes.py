@@ -62,14 +62,17 @@ def evaluate_all(
     category: np.ndarray | None = None,
     resolution: int = RESOLUTION,
 ) -> dict[str, ShapeEvaluation]:
-    """Return `evaluate_shapes` of several predictions of the same items; work on the truth is done once."""
+    """Return `evaluate_shapes` of several predictions of the same items; work on the truth is done once.
+
+    That of no title is scored by the surface that files have, all others, such as baselines, by that of their grids.
+    """
     for title, prediction in predictions.items():
         _check(title or "the prediction", prediction, truth, masks)
     found: dict[str, list[dict[str, float]]] = {title: [{}] * len(truth) for title in predictions}
     for row, filled in progress(filled_truths(truth, np.arange(len(truth)), resolution), "scoring shapes", len(truth)):
         item = TrueItem(truth, row, filled)
         for title, prediction in predictions.items():
-            found[title][row] = score_item(predicted(prediction, row), item, masks[row])
+            found[title][row] = score_item(predicted(prediction, row, as_written=not title), item, masks[row])
     groups = [truth.meshes[shape].category for shape in truth.shape.tolist()] if category is None else category
     groups = np.asarray(groups).astype(str)
     return {title: _gathered(found[title], one, truth, name, groups) for title, one in predictions.items()}
@@ -146,7 +149,11 @@ def _view_scores(views: np.ndarray, truth: np.ndarray) -> dict[str, np.ndarray]:
     upright = {"azimuth_deg": azimuth_errors_deg, "elevation_deg": elevation_errors_deg}
     used = upright if is_upright(truth) else {"rotation_deg": rotation_errors_deg}
     found = {"views_within_20": (errors <= WITHIN_DEG).astype(np.float64)}
-    return found | {metric: of(views, truth) for metric, of in used.items()}
+    for metric, of in used.items():
+        value = of(views, truth)
+        assert value is not None  # as the errors are
+        found[metric] = value
+    return found
 
 
 def _means(per_item: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, float]:

@@ -145,9 +145,9 @@ class Standing:
         return other
 
 
-def predicted(prediction: ShapePrediction, row: int) -> Standing:
+def predicted(prediction: ShapePrediction, row: int, *, as_written: bool = True) -> Standing:
     """Return a lifted shape where the prediction puts it."""
-    return replace(_standing(prediction.occupancy[row], prediction.level, prediction, row), as_written=True)
+    return replace(_standing(prediction.occupancy[row], prediction.level, prediction, row), as_written=as_written)
 
 
 def true(truth: Placed, row: int, filled: Bool[np.ndarray, "depth height width"]) -> Standing:
@@ -461,6 +461,7 @@ def _climbed(found: Standing, truth: Standing, start: np.ndarray, blur: float) -
         )
         value = -seen.mean() / scale**1.5
         value.backward()
+        assert at.grad is not None
         return float(value.detach()), at.grad.numpy().astype(np.float64)
 
     options = {"ftol": 1e-5, "maxiter": 20}

@@ -202,7 +202,7 @@ def _best_apart(pose: ObjectPose, cost: Float[Tensor, "candidates items"], most:
         left = left.masked_fill(cosine > math.cos(_APART), _NEVER)
     index = torch.stack(chosen, 1)
     weight = (costs[0][:, None] - torch.stack(costs, 1)).exp()
-    return ViewHypotheses(*(part[index] for part in pose), weight)
+    return ViewHypotheses(**{name: part[index] for name, part in pose._asdict().items()}, weight=weight)
 
 
 def refined(

@@ -80,7 +80,8 @@ class ShapeSpace(nn.Module):
     @property
     def view_matrices(self) -> Float[Tensor, "views 3 3"]:
         """`views` as rotations."""
-        return ObjectPose(*self.views.unbind(1), *self._unplaced(len(self.views))).view
+        azimuth, elevation, roll = self.views.unbind(1)
+        return ObjectPose(azimuth, elevation, roll, *self._unplaced(len(self.views))).view
 
     @property
     def view_spacing(self) -> float:

@@ -48,7 +48,8 @@ class ViewHypotheses(Samples):
     def empty(cls, items: int, hypotheses: int, device: torch.device) -> ViewHypotheses:
         """Return places for the hypotheses of so many masks."""
         one = torch.zeros(items, hypotheses, device=device)
-        return cls(*(one.clone() for _ in range(4)), one.new_zeros(items, hypotheses, 2), one)
+        azimuth, elevation, roll, scale = (one.clone() for _ in range(4))
+        return cls(azimuth, elevation, roll, scale, one.new_zeros(items, hypotheses, 2), one)
 
     def scaled_to(self, data: MaskSet) -> ViewHypotheses:
         """Return the same views at the scale that labelled masks are known to have."""

@@ -59,6 +59,7 @@ _TRUST = 0.7
 class MaskPoses(nn.Module):
     """The poses of training masks, several hypotheses for each, and how likely each of them is."""
 
+    scale: nn.Parameter
     weight: Tensor
     """(items, hypotheses); sums to 1."""
     known: Tensor
@@ -93,7 +94,7 @@ class MaskPoses(nn.Module):
 
     def hypotheses(self) -> ViewHypotheses:
         """Return all of them as they are now."""
-        return ViewHypotheses(*(getattr(self, name).detach() for name in ObjectPose._fields), self.weight)
+        return ViewHypotheses(**{name: getattr(self, name).detach() for name in ObjectPose._fields}, weight=self.weight)
 
     @property
     def best(self) -> ObjectPose:
@@ -273,7 +274,7 @@ class ShapeModule(TrainingModule[ShapeSpace, MaskSet]):
         Of very many masks those are judged that were least sure.
         """
         assert self.frames is not None
-        before = self.poses.hypotheses() if bool(self.poses.scale.any()) else None
+        before = self.poses.hypotheses() if bool((self.poses.scale > 0).any()) else None
         count = len(self.frames)
         order = torch.arange(count) if before is None else before.weight.amax(1).argsort(stable=True)
         rows = order[: count if before is None else _MOST_PICKED].sort().values
