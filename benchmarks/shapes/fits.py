@@ -48,7 +48,7 @@ COMMANDS = ("demo", "families", "twin", "semi", "animals", "modelnet")
 
 _FULL = ("data.simulate=4000", "trainer.max_steps=2200")
 """What the figures of families are of; the demo is shorter."""
-_LABELLED = (0.02, 0.1)
+LABELLED = (0.02, 0.1)
 """Shares of the shapes that are known; each also without the other masks."""
 HELD_OUT = ("Cow", "ShibaInu")
 """Species of the test, as in the keypoints of `quadruped`."""
@@ -98,7 +98,11 @@ def ceiling_key(family: str, seconds: float, seed: int) -> str:
 
 
 def cells_of(
-    command: str, seeds: Sequence[int], minutes: float | None = None, families: Sequence[str] = FAMILIES
+    command: str,
+    seeds: Sequence[int],
+    minutes: float | None = None,
+    families: Sequence[str] = FAMILIES,
+    shares: Sequence[float] = LABELLED,
 ) -> list[Cell]:
     """Return the fits of a command, seed by seed, so that every row has results early."""
     rows = {
@@ -107,7 +111,7 @@ def cells_of(
         "twin": [("twin", TASK, ("data.labelled.fraction=1", "data.labelled.only=true", *_FULL))],
         "semi": [
             (f"semi_{100 * share:g}%{only}", "masks_semi", (f"data.labelled.fraction={share}", *words, *_FULL))
-            for share in _LABELLED
+            for share in shares
             for only, words in (("", ()), ("_only", ("data.labelled.only=true",)))
         ],
         "animals": [("animals", "masks_animals", ())],
