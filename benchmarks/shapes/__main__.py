@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cell
         for name in given.commands
         if name in COMMANDS
-        for cell in cells_of(name, given.seeds, given.minutes, given.families)
+        for cell in cells_of(name, given.seeds, given.minutes, given.families, given.shares)
     ]
     if "modelnet" in given.commands and given.folder is None:
         print("modelnet: skipped, no --folder of ModelNet10 (docs/masks-data.md)", flush=True)
@@ -81,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--minutes", type=float, help="training time, default: the task's")
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="NAME",
                         help=f"for families and ceiling, default {' '.join(FAMILIES)}")  # fmt: skip
+    parser.add_argument("--shares", nargs="+", type=float, default=list(fits.LABELLED), metavar="X", help="for semi")
     parser.add_argument("--seconds", type=float, default=150, help="CPU time of ceiling's training, default 150")
     parser.add_argument("--folder", type=Path, help="of ModelNet10, for modelnet")
     parser.add_argument("--runs", type=_folder, metavar="FOLDER", help="keep the run folders here")
