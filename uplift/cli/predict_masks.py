@@ -54,7 +54,7 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
         raise UserError(f"{request.weights.run} lifts masks: {of_keypoints} go with keypoints.")
     options = {**request.options, **request.size, **({} if request.axes is None else {"axes": request.axes})}
     reading = {key: options.pop(key) for key in _READING if key in options}
-    by, front = options.pop("group", None), options.pop("front", None)
+    by, front, steps = (options.pop(key, None) for key in ("group", "front", "refine_steps"))
     for output in request.outputs:
         _check_mesh_output(output, request.page, options)
     refuse_outputs(request.outputs)
@@ -64,7 +64,7 @@ def lift_masks(request: Request) -> tuple[ShapePrediction, dict[Path, str]]:
     model = model if front is None else model.facing(front)
     data = read_masks(request.input, **reading)
     group = None if by is None else groups_of(data.names, by)
-    prediction = model.predict(data.without_truth(), title=request.title, group=group)
+    prediction = model.predict(data.without_truth(), title=request.title, refine=steps, group=group)
     notes = tuple(note for note in data.notes if note not in prediction.notes)
     small = small_size({key: options.get(key) for key in ("height_mm", "length_mm")})
     prediction.notes = (*notes, *prediction.notes, *([small] if small else []))

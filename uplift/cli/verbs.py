@@ -188,6 +188,8 @@ SHAPE_KEYS = _table(
     _key("group", Optional[str], None, "masks that are views of one object and get one shape: all of them, those of a folder, or "
          "those whose name is the same up to its last number (cow_001.png, cow_002.png); unset: each mask is lifted alone",
          choices=("all", "folder", "name")),
+    _key("refine_steps", Optional[int], None, "steps in which code and view of each mask are refined; unset: shape.refine of the run; 0: as the "
+         "network says at once", 0, 10_000),
     _key("front", Optional[float], None, "azimuth, degrees, at which this lifter sees objects from their front; unset: 0. Masks do "
          "not say which side that is: 180 where shapes look backwards", -360, 360),
 )  # fmt: skip

@@ -170,4 +170,5 @@ class ShapePrediction(Samples):
 def view_angles_deg(view: Float[np.ndarray, "items 3 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return azimuth, elevation and roll of views in degrees, as `uplift.models.silhouettes.ObjectPose` has them."""
     azimuth, elevation, roll = angles_of(torch.as_tensor(np.asarray(view, np.float64)))
-    return tuple(np.rad2deg(angle.numpy()) for angle in (azimuth, elevation, roll))  # type: ignore[return-value]
+    # Adding 0 takes the sign off a zero.
+    return tuple(np.rad2deg(angle.numpy()) + 0.0 for angle in (azimuth, elevation, roll))  # type: ignore[return-value]
