@@ -362,20 +362,15 @@ _THRESHOLDS = (
 )
 
 
-_NEARLY = 0.985
-"""Of the best expected overlap. Of thresholds that are as good, the lowest keeps most of what is thin."""
-
-
 def choose_iso_threshold(occupancy: Float[Tensor, "items depth height width"]) -> float:
-    """Return the lowest threshold with nearly the best expected IoU if occupancies are probabilities, without any true shape."""
+    """Return the threshold with the best expected IoU if occupancies are probabilities, chosen without any true shape."""
     flat, expected = occupancy.flatten(1), []
     for threshold in _THRESHOLDS:
         inside = flat > threshold
         shared = (flat * inside).sum(1)
         either = inside.sum(1) + (flat * ~inside).sum(1)
         expected.append(float((shared / either.clamp_min(1e-6)).mean()))
-    enough = _NEARLY * max(expected)
-    return next(threshold for threshold, overlap in zip(_THRESHOLDS, expected, strict=True) if overlap >= enough)
+    return _THRESHOLDS[max(range(len(expected)), key=expected.__getitem__)]
 
 
 _RAYS = 32
