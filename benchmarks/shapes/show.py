@@ -89,7 +89,7 @@ def ceiling_sheets(results: Results, families: Sequence[str], seconds: float) ->
         ]
         if above and fits:
             top, mine = means["supervised"], means["masks alone"]
-            shares = (f"{mine[m] / top[m]:.2f}" if m in top and m in mine else "-" for m in _SHARED)
+            shares = (f"{mine[m] / top[m]:.2f}" if top.get(m) and m in mine else "-" for m in _SHARED)
             rows.append([family, "share reached", "", *shares])
     head = ["family", "trained on", "seeds", *_SHARED]
     return [Sheet(f"ceiling: a supervised network, {seconds:g} s of one CPU thread", head, rows)] if rows else []
@@ -133,10 +133,10 @@ def cost_sheet(results: Results) -> list[Sheet]:
     )
     rows = [
         [
-            f"{one['resolution']}", f"{one['shapes']}", f"{one['threads']}", f"{one['seconds_per_step']:.3f}",
+            f"{one['resolution']}", f"{one['pixels']}", f"{one['batch']}", f"{one['threads']}", f"{one['seconds_per_step']:.3f}",
             f"{one['peak_gb']:.2f}", f"{one['peak_before_gb']:.2f}",
         ]
         for one in found
     ]  # fmt: skip
-    head = ["resolution", "shapes", "threads", "s per step", "peak GB", "GB before training"]
+    head = ["resolution", "pixels", "batch", "threads", "s per step", "peak GB", "GB before training"]
     return [Sheet("cost of a training step", head, rows)] if rows else []
