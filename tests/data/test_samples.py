@@ -76,7 +76,7 @@ EXAMPLES: dict[type[Samples], Samples] = {
     PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5, t() > 0.5),
     ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(3), t(), t(J), t(), t() > 0.5, t() > 0.5),
     Lifted: Lifted(t(J, 3), t(), t(J, 2), t(J), t(3), t(), t(12)),
-    LiftedShapes: LiftedShapes(t(4, 4, 4), t(4, 4, 4), t(3, 3), t(), t(2), t()),
+    LiftedShapes: LiftedShapes(t(4, 4, 4), t(4, 4, 4), t(3, 3), t(), t(2), t(), t(), t(3, 3), t()),
 }  # fmt: skip
 examples = pytest.mark.parametrize("samples", EXAMPLES.values(), ids=lambda samples: type(samples).__name__)
 # What a selection gives new numbers, by class.
