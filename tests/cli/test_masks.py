@@ -268,7 +268,7 @@ def test_evaluate_and_compare_keep_the_kinds_apart(run: Path, capsys) -> None:
 
 def test_data_check_and_tasks(masks: Path, capsys) -> None:
     assert status_of("data", "check", "task=masks_demo") == 0
-    assert "train, test: 4,000 masks of simulated chairs" in capsys.readouterr().out
+    assert "train, test: 2,000 masks of simulated chairs" in capsys.readouterr().out
     assert status_of("data", "check", "task=masks", "data.train=masks") == 0
     assert "3 pictures, pictures of masks" in capsys.readouterr().out
     write_masks_npz(simulate_masks("chairs", 5, seed=9, side=48), "truth.npz")

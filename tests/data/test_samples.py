@@ -71,7 +71,8 @@ EXAMPLES: dict[type[Samples], Samples] = {
     ),
     Ground: Ground(a(3), a(3), a(J) > 0.5),
     ShapePrediction: ShapePrediction(
-        a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT, uncertainty=a(4, 4, 4)
+        a(4, 4, 4), a(3, 3), a(), a(2), a(), MASKS, NAMES, a(2), a(), images=TEXT, uncertainty=a(4, 4, 4),
+        probability=a(), second_view=a(3, 3), second_probability=a(),
     ),
     PseudoPoses: PseudoPoses(SKELETON, t(J, 3), t(3), t(), t(J), t(J, 2), t() > 0.5, t() > 0.5),
     ShownViews: ShownViews(t(J, 2), t(J), t(J, 2), t(J, 3), t(), t(3), t(), t(J), t(), t() > 0.5, t() > 0.5),
