@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int, UInt8
 
 from uplift.config.files import without_folders
@@ -14,7 +13,6 @@ from uplift.data.poses import UNITS
 from uplift.data.samples import Samples
 from uplift.geometry.gravity import roll_of
 from uplift.models.ground import Ground
-from uplift.models.silhouettes import angles_of
 
 if TYPE_CHECKING:
     from uplift.skeleton import Skeleton
@@ -169,6 +167,9 @@ class ShapePrediction(Samples):
 
 def view_angles_deg(view: Float[np.ndarray, "items 3 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return azimuth, elevation and roll of views in degrees, as `uplift.models.silhouettes.ObjectPose` has them."""
-    azimuth, elevation, roll = angles_of(torch.as_tensor(np.asarray(view, np.float64)))
+    view = np.asarray(view, np.float64)
+    azimuth = np.arctan2(-view[:, 2, 0], view[:, 2, 2])
+    elevation = np.arcsin(np.clip(view[:, 2, 1], -1, 1))
+    roll = np.arctan2(-view[:, 0, 1], view[:, 1, 1])
     # Adding 0 takes the sign off a zero.
-    return tuple(np.rad2deg(angle.numpy()) + 0.0 for angle in (azimuth, elevation, roll))  # type: ignore[return-value]
+    return np.rad2deg(azimuth) + 0.0, np.rad2deg(elevation) + 0.0, np.rad2deg(roll) + 0.0
